@@ -16,6 +16,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -345,6 +346,8 @@ def _do(payload: Any) -> Any:
 
 
 def _library() -> Any:
+    if sys.modules.get("dask", sys) is None:  # a command hides it from xarray
+        del sys.modules["dask"]
     try:
         import distributed
     except ImportError:

@@ -35,6 +35,7 @@ from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sampler_o
 from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.errors.faults import EXCHANGES, NUM_EXCHANGES
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.frames import DetectedFrame, frame_numbers
 from poseterior.probmodel.model import PoseModel
@@ -99,6 +100,8 @@ class FrameDraws(NamedTuple):
     log_evidence: float
     log_evidence_se: float
     effective_roots: float
+    outlier: np.ndarray
+    exchange: np.ndarray
     mean: np.ndarray
     sd: np.ndarray
     place: np.ndarray
@@ -145,6 +148,8 @@ def nothing_drawn(name: str, status: str, sentence: str, k: int, keep: int) -> F
         log_evidence=-np.inf,
         log_evidence_se=np.inf,
         effective_roots=np.nan,
+        outlier=blank[:, 0],
+        exchange=np.full(NUM_EXCHANGES, np.nan),
         mean=blank,
         sd=blank,
         place=blank[0],
@@ -285,7 +290,9 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
     -------
     DataTree
         `/summary` by frame: status, sentence, num_draws, log_evidence with its standard error,
-        effective_roots (NaN where torso and camera are fixed), `mean` and `sd` of the joints
+        effective_roots (NaN where torso and camera are fixed), the probabilities that a keypoint is
+        an `outlier` `(frame, joint)` and that left and right are exchanged by a `pattern`,
+        `exchange` `(frame, pattern)` (NaN under a law without either), `mean` and `sd` of joints
         `(frame, joint, axis)` about the pelvis, quantiles of their `depth` `(frame, joint, level)`,
         and `place` and `place_sd` `(frame, axis)` of the pelvis before the camera, body units (NaN
         where no focal length is known); `/hypotheses`: `joints`
@@ -307,8 +314,20 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
             for group in ("summary", "hypotheses")
         }
     )
+    found["summary"] = _with_faults(found["summary"].to_dataset())
     found.attrs.update(store.settings)
     return found
+
+
+def _with_faults(summary: xr.Dataset) -> xr.Dataset:
+    """A summary that says nothing of faults, as those of earlier versions do not, says so."""
+    number, patterns = summary.sizes["frame"], list(EXCHANGES)
+    blank = {
+        "outlier": (("frame", "joint"), np.full((number, NUM_JOINTS), np.nan)),
+        "exchange": (("frame", "pattern"), np.full((number, len(patterns)), np.nan)),
+    }
+    missing = {name: value for name, value in blank.items() if name not in summary}
+    return summary.assign(missing).assign_coords(pattern=patterns)
 
 
 def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
@@ -561,6 +580,10 @@ class _Drawing:
         )
         if not len(draws):
             return drawn
+        if draws.posterior.faults.any:
+            counts = np.bincount(draws.faults.exchange, minlength=NUM_EXCHANGES)
+            outlier = np.mean(draws.faults.outlier, axis=0)
+            drawn = drawn._replace(outlier=outlier, exchange=counts / len(draws))
         k, joints = min(self.k, len(draws)), draws.joints
         places = _places(draws, self.lens if frame.lens is None else frame.lens)
         chosen = compose(draws, k) if self.composed else diverse(joints.astype(np.float32), k)
@@ -609,6 +632,8 @@ def groups_of(rows: list[FrameDraws], k: int) -> Groups:
     }
     summary |= {name: column(name, "axis", **units) for name in ("place", "place_sd")}
     summary["depth"] = column("depth", "joint", "level", **units)
+    summary["outlier"] = column("outlier", "joint")
+    summary["exchange"] = column("exchange", "pattern")
     hypotheses = {
         "joints": column("hypotheses", "hypothesis", "joint", "axis"),
         "place": column("standing", "hypothesis", "axis", **units),
@@ -621,7 +646,9 @@ def groups_of(rows: list[FrameDraws], k: int) -> Groups:
         "place": column("places", "draw", "axis", **units),
     }
     return {
-        "summary": xr.Dataset(summary, coords=names | {"level": list(LEVELS)}),
+        "summary": xr.Dataset(
+            summary, coords=names | {"level": list(LEVELS), "pattern": list(EXCHANGES)}
+        ),
         "hypotheses": xr.Dataset(hypotheses, coords=names | {"hypothesis": np.arange(k)}),
         "posterior": xr.Dataset(posterior, coords=names | {"length_group": list(LENGTH_GROUPS)}),
     }

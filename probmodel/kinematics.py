@@ -174,13 +174,13 @@ def _pose(
     fallback: jax.Array,
 ) -> jax.Array:
     axes = upper_axes(torso)
-    joints = jnp.zeros((NUM_JOINTS, 3), torso.dtype).at[jnp.array(TORSO_INDEX)].set(torso)
     world_upper = jnp.einsum("nij,nj->ni", axes, upper)
     local = jax.vmap(lower_axes, (0, None, 0))(upper[1:], reference, fallback)
     world_lower = jnp.einsum("nij,njk,nk->ni", axes[1:], local, lower)
+    joints = dict(zip(TORSO_INDEX, torso, strict=True))
     for bone, vector, size in zip(BONES, [*world_upper, *world_lower], length, strict=True):
-        joints = joints.at[bone.end].set(joints[bone.start] - size * vector)
-    return joints
+        joints[bone.end] = joints[bone.start] - size * vector
+    return jnp.stack([joints[joint] for joint in range(NUM_JOINTS)])
 
 
 @jax.jit

@@ -5,6 +5,7 @@ import copy
 import dataclasses
 import gc
 import inspect
+import sys
 from collections.abc import Iterator
 from importlib import import_module, metadata
 from typing import Annotated, Any, NoReturn, get_origin, get_type_hints
@@ -57,6 +58,8 @@ for _name, _group in COMMAND_GROUPS.items():
 
 def command() -> NoReturn:
     """The process of the `poseterior` command."""
+    # Where xarray finds Dask it imports all of it, for arrays that nothing here has.
+    sys.modules.setdefault("dask", None)  # type: ignore[arg-type]
     try:
         main()
     except SystemExit as end:

@@ -435,11 +435,12 @@ class Estimation:
         2, "Most torso-and-camera candidates kept; 1 is the paper's method.", min=1
     )
     factor: Factor = 0.25
-    errors: str = option(
-        "disc",
+    errors: str | None = option(
+        None,
         f"Law of a detection's error: {', '.join(LAW_NAMES)} (the paper's is disc), learned"
         " (the embedded one of real detections), or FILE.json from `poseterior calibrate`."
-        " The last two have outliers, and need --root uncertain.",
+        " The last two have outliers, and need --root uncertain. By default disc for one view, and"
+        " learned for several cameras.",
     )
     outliers: float | None = option(
         None, "How probable it is that a keypoint is an outlier (--root uncertain)."
@@ -449,11 +450,12 @@ class Estimation:
     )
     head: bool = option(True, "Whether a detected head counts in the likelihood (the paper: no).")
 
-    def likelihood(self) -> "Likelihood":
-        """How detections err. Raises `BadInput` on a bad factor, law or probability."""
+    def likelihood(self, usual: str = "disc") -> "Likelihood":
+        """How detections err; by the `usual` law where none is named. Raises `BadInput` on a bad
+        factor, law or probability."""
         from poseterior.probmodel.errors.faults import FaultPrior
 
-        likelihood = self._law()
+        likelihood = self._law(self.errors or usual)
         if self.outliers is None and self.exchanges is None:
             return likelihood
         given = likelihood.faults
@@ -463,7 +465,7 @@ class Estimation:
         faults = FaultPrior(outlier, exchange, given.reach)
         return dataclasses.replace(likelihood, faults=faults)
 
-    def _law(self) -> "Likelihood":
+    def _law(self, errors: str) -> "Likelihood":
         from poseterior.probmodel import Likelihood
         from poseterior.probmodel.detections import LIKELIHOOD_JOINTS, LIMB_JOINTS
         from poseterior.probmodel.errors.detector import DetectorErrors
@@ -475,17 +477,17 @@ class Estimation:
                 f"--factor must lie between {limits}, not {self.factor:g}; the paper has 0.25"
             )
         joints = LIKELIHOOD_JOINTS if self.head else LIMB_JOINTS
-        law = LAWS.get(self.errors)
+        law = LAWS.get(errors)
         if law is not None:
             return Likelihood(law(), factor=self.factor, joints=joints)
-        if self.errors == "learned":
+        if errors == "learned":
             return Likelihood.of(DetectorErrors.default(), joints)
-        if not Path(self.errors).exists():
+        if not Path(errors).exists():
             raise BadInput(
-                f"there is no error law {self.errors}; --errors takes {', '.join(LAWS)}, learned,"
+                f"there is no error law {errors}; --errors takes {', '.join(LAWS)}, learned,"
                 " or a file that `poseterior calibrate` wrote"
             )
-        return Likelihood.of(DetectorErrors.read(self.errors), joints)
+        return Likelihood.of(DetectorErrors.read(errors), joints)
 
     def estimating(self, model: "PoseModel") -> "Estimating":
         """How people are estimated. Raises `BadInput` on a bad factor or a bad file of poses."""

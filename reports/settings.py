@@ -103,7 +103,7 @@ class HypothesesSettings:
         "hypotheses frame.json --root fixed --limits limits.npz --candidates 1",
         "hypotheses frame.json --root fixed --estimator zhou",
         "hypotheses frame.json --recalibrated wider.json",
-        "hypotheses session/ --frame 20 --cameras 1,3 --errors learned",
+        "hypotheses session/ --frame 20 --cameras 1,3",
     )
     person: PersonOrSession
     frame: int | None = option(None, "Which frame of calibrated cameras; the first by default.")
@@ -145,7 +145,7 @@ class HypothesesSettings:
                 f"--cameras {self.cameras} is no list of numbers; give one such as 1,3"
             ) from None
         frame = session.numbers[0] if self.frame is None else self.frame
-        return session.instant(frame, chosen).judged_by(self.estimation.likelihood())
+        return session.instant(frame, chosen).judged_by(self.estimation.likelihood("learned"))
 
     def check(self) -> None:
         """Raises `BadInput` where frames or cameras are chosen of a single view."""
@@ -492,6 +492,9 @@ class ExportSettings:
         "Of each frame of a stream: the mean of the draws, made a body again, or the"
         " heaviest hypothesis.",
         show_default="mean",
+    )
+    path_number: int | None = option(
+        None, "Of a film: this one of its paths, counted from 0, instead.", metavar="NUMBER"
     )
     smooth: str | None = option(
         None,

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,53 @@ def _imports_by_name(function: ast.expr) -> bool:
 def offences(source: str, package: str) -> set[str]:
     """What a file of `package` imports and must not."""
     return imported(source, package) & FORBIDDEN[package]
+
+
+def waited_for(source: str, own: str) -> set[str]:
+    """Modules of ours that the module `own` imports while it is imported itself: those named at the
+    top, and the packages around them that are not around `own` as well."""
+    found = set()
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    around = {
+        ".".join(parts[:depth])
+        for parts in (name.split(".") for name in found)
+        for depth in range(2, len(parts) + 1)
+    }
+    return {name for name in around if not f"{own}.".startswith(f"{name}.")}
+
+
+def module_of(path: Path) -> str:
+    """The name of a file's module, or of its package."""
+    parts = path.with_suffix("").parts
+    return ".".join(["poseterior", *(parts[:-1] if parts[-1] == "__init__" else parts)])
+
+
+def circle(sources: dict[str, str]) -> list[str]:
+    """Modules that wait for each other, the first ones that are found."""
+    graph = {own: waited_for(source, own) & sources.keys() for own, source in sources.items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def test_no_module_waits_for_itself() -> None:
+    """So that each can be imported first. The control is a circle that was here."""
+    files = [path for path in FILES if path.parts[0] != "poseterior"]
+    assert not circle({module_of(path): (ROOT / path).read_text("utf-8") for path in files})
+    package = "poseterior.inference.studies.calibration"
+    there = {
+        "poseterior.inference.studies.measured": f"from {package}.levels import rank_level",
+        package: f"from {package}.assess import assess",
+        f"{package}.levels": "",
+        f"{package}.assess": "from poseterior.inference.studies.measured import standings_of",
+    }
+    assert len(circle(there)) == 4
 
 
 def test_there_are_files_to_look_at() -> None:
@@ -186,11 +234,13 @@ print([name for name in heavy if name in sys.modules])
 @pytest.mark.slow
 @pytest.mark.parametrize("root", ["uncertain", pytest.param("fixed", marks=pytest.mark.sweep)])
 def test_the_main_job_waits_for_no_more_than_it_needs(tmp_path: Path, root: str) -> None:
-    """The second call, which finds all programs: NumPyro, ArviZ, scikit-learn and `scipy.stats`
-    take seconds to import, and nothing that it does needs them."""
+    """The second call, which finds all programs: NumPyro, ArviZ, scikit-learn, `scipy.stats` and
+    Dask, which xarray imports where it is installed, take seconds to import, and nothing that it
+    does needs them."""
     heavy = (
         "numpyro",
         "arviz",
+        "dask",
         "sklearn",
         "scipy.stats",
         "scipy.optimize",
@@ -198,11 +248,12 @@ def test_the_main_job_waits_for_no_more_than_it_needs(tmp_path: Path, root: str)
     )
     code = f"""
 import sys
-from poseterior.reports.cli import main
+from poseterior.reports import cli
+cli.signals.depart = sys.exit
 try:
-    main()
+    cli.command()
 finally:
-    print([name for name in {heavy} if name in sys.modules], file=sys.stderr)
+    print([name for name in {heavy} if sys.modules.get(name)], file=sys.stderr)
 """
     skier = str(ROOT / "examples" / "skier.json")
     words = ("hypotheses", skier, "--root", root, "--quiet", "--out", "out")

@@ -252,7 +252,7 @@ def _drawn(
     return Draws(
         posterior,
         points=np.repeat(np.arange(len(samplers)), held)[order],
-        poses=in_chunks(lambda rows: Pose(*(column[rows] for column in poses)), order)
+        poses=in_chunks(lambda rows: Pose(*(column.take(rows, axis=0) for column in poses)), order)
         if len(order)
         else poses,
         faults=Faults.none(len(order)),

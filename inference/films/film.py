@@ -432,6 +432,8 @@ class _Writing:
                 log_evidence=float(own.log_evidence),
                 log_evidence_se=float(own.log_evidence_se),
                 effective_roots=float(own.effective_roots),
+                outlier=own.outlier.values,
+                exchange=own.exchange.values,
             )
         here = PoseDraws(joints, self.film.body.length, self.film.parts.place[at])
         chosen = [one._replace(joints=joints[one.draw]) for one in self.chosen]

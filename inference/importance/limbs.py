@@ -331,13 +331,19 @@ def free_groups(posterior: Posterior, words: list[int]) -> dict[str, GroupDraws]
     ]
     if not free:
         return {}
-    poses = prior_poses(posterior.model, words)
+    chained = any(limb.lower is not None for name in free for limb in GROUPS[name])
+    poses = prior_poses(posterior.model, words, lower=chained)
     return {name: GroupDraws.of(poses, GROUPS[name]) for name in free}
 
 
-def prior_poses(model: PoseModel, words: list[int]) -> Pose:
-    """`POOL_SIZE` draws of the prior."""
-    return Pose(*map(np.asarray, _prior(model, np.array(words, np.uint32))))
+def prior_poses(model: PoseModel, words: list[int], *, lower: bool = True) -> Pose:
+    """`POOL_SIZE` draws of the prior, those of the lower bones left blank where these
+    are not asked for: of detectors that say nothing of the head."""
+    key = np.array(words, np.uint32)
+    if lower:
+        return Pose(*map(np.asarray, _prior(model, key)))
+    length, upper = map(np.asarray, _prior_above(model, key))
+    return Pose(length, upper, Pose.blank(POOL_SIZE).lower)
 
 
 @kept
@@ -345,6 +351,13 @@ def _prior(model: PoseModel, words: ArrayLike) -> tuple[jax.Array, ...]:
     """As a tuple, whose program can be kept: tracing it takes longer than all that it
     draws."""
     return tuple(model.draw(jax.random.wrap_key_data(jnp.asarray(words)), POOL_SIZE))
+
+
+@kept
+def _prior_above(model: PoseModel, words: ArrayLike) -> tuple[jax.Array, ...]:
+    """The same lengths and upper bones; compiled in half the time, which a first call
+    waits for."""
+    return tuple(model.draw(jax.random.wrap_key_data(jnp.asarray(words)), POOL_SIZE)[:2])
 
 
 def log_evidence(found: dict[str, LimbDraws]) -> float:

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from poseterior.inference.studies.calibration.levels import rank_level
 from poseterior.inference.studies.intervals import TAIL, Interval, of_share
+from poseterior.inference.studies.levels import rank_level
 from poseterior.inference.summaries import centre, interval, unrolled
 from poseterior.probmodel.measures import MEASURES, Measure, turned
 

@@ -225,13 +225,17 @@ class Session:
         Instant
             Of straightened images, without the midpoints that a detector makes of other joints:
             they lie beside the skeleton's, and by as much in every view. Its cameras point beside
-            their calibration as the session's do.
+            their calibration as the session's do, and detections err by the embedded law
+            (`Instant.judged_by` takes another): discs, of which no one is an outlier, seldom have
+            a point in common.
 
         Raises
         ------
         BadInput
             Where there is no such frame or camera.
         """
+        from poseterior.probmodel.errors.detector import DetectorErrors
+        from poseterior.probmodel.errors.likelihood import Likelihood
         from poseterior.probmodel.instant import CameraView, Instant  # JAX comes with it
 
         if frame not in self.numbers:
@@ -248,7 +252,7 @@ class Session:
                 for label, camera, people, keypoints in views
             ),
             self.pointing,
-        )
+        ).judged_by(Likelihood.of(DetectorErrors.default()))
         return every if cameras is None else every.seen_by(cameras)
 
     def take(self, rows: Sequence[int]) -> "Session":

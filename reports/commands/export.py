@@ -22,6 +22,7 @@ def run(settings: ExportSettings, screen: Screen) -> None:
         draws=settings.draws,
         person=settings.person,
         what=settings.what.value if settings.what else None,
+        path=settings.path_number,
         smoother=settings.smoother,
         rate=settings.rate,
         measures=settings.measures,
@@ -70,7 +71,8 @@ def _what(settings: ExportSettings) -> str:
     what = (settings.what or FilmPose.mean).value
     made = {"mean": "the mean of the draws made a body", "hypothesis": "the heaviest hypothesis"}
     smooth = f", smoothed by {settings.smoother}" if settings.smoother else ""
-    return f" ({made[what]}{smooth})"
+    words = made[what] if settings.path_number is None else f"path {settings.path_number}"
+    return f" ({words}{smooth})"
 
 
 def _beside(result: Path, to: str) -> Path:

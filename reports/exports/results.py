@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import xarray as xr
 
+from poseterior.inference.films.film import film_draws
 from poseterior.inference.hypothesis import diverse
 from poseterior.inference.measured import require_height
 from poseterior.inference.store import SETTINGS
@@ -37,14 +39,16 @@ _ADVICE = (
 
 class Wanted(NamedTuple):
     """What is wanted of a result: a `height` in metres; `k` hypotheses, or so many `draws`; of a
-    stream, which `person`, `what` of each frame (`MEAN`, `HYPOTHESIS`), and how it is smoothed. At
-    so many frames a second (`rate`). None: whatever is usual."""
+    stream, which `person`, `what` of each frame (`MEAN`, `HYPOTHESIS`), and how it is smoothed; of
+    a film, which of its paths (`path`). At so many frames a second (`rate`). None: whatever is
+    usual."""
 
     height: float
     k: int | None = None
     draws: int | None = None
     person: int | None = None
     what: str | None = None
+    path: int | None = None
     smoother: Smoother | None = None
     rate: float | None = None
     measures: tuple[Measure, ...] = ()
@@ -134,6 +138,8 @@ def _read(path: Path, wanted: Wanted) -> _Poses:
         raise BadInput(f"{path} is of one person; leave --person out")
     if wanted.what is not None:
         raise BadInput(f"{path} is no film of frames; leave --what out")
+    if wanted.path is not None:
+        raise BadInput(f"{path} is no film, which alone has paths; leave --path-number out")
     if path.is_dir():
         return _of_folder(path, wanted)
     if not path.exists():
@@ -248,15 +254,15 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
     if not len(there):
         raise BadInput(f"{path} has no frame with a pose of that person; look at its summary")
     _require_bodies(there, path)
-    body, source = Body.of(there), of_draws["mean"].values
-    joints = heaviest if wanted.what == HYPOTHESIS else _spread_out(source, rows)
+    body, single = Body.of(there), wanted.path is not None or wanted.what == HYPOTHESIS
+    source = _poses_of(path, wanted, tree)
+    joints = _spread_out(source.joints.values.astype(float), rows)
     spread = _spread_out(of_draws.sd.values, rows)
     placed = "place" in of_draws and bool(np.isfinite(of_draws.place.values).any())
     if placed:
-        standing = of_hypotheses.place[:, 0] if wanted.what == HYPOTHESIS else of_draws.place
-        joints = joints + _spread_out(standing.values, rows)[:, None]
+        joints = joints + _spread_out(source.place.values, rows)[:, None]
         spread[:, JOINT_INDEX["pelvis"]] = _spread_out(of_draws.place_sd.values, rows)
-    exact = wanted.what == HYPOTHESIS and wanted.smoother is None
+    exact = single and wanted.smoother is None
     order, numbers = in_time(frames)
     return _Poses(
         joints[order],
@@ -270,6 +276,22 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
         items=[None if row is None else names[row] for row in (rows[at] for at in order)],
         rate=tree.attrs.get("rate"),
     )
+
+
+def _poses_of(path: Path, wanted: Wanted, tree: xr.DataTree) -> xr.Dataset:
+    """What is wanted of each frame of a stream: `joints`, and the pelvis' `place`, NaN where it is
+    not known. Raises `BadInput` where it has no such path, or no paths."""
+    if wanted.path is None:
+        if wanted.what == HYPOTHESIS:
+            return tree["hypotheses"].to_dataset().isel(hypothesis=0)
+        summary = tree["summary"].to_dataset()
+        return summary.drop_vars("joints", errors="ignore").rename(mean="joints")
+    if wanted.what is not None:
+        raise BadInput("a path is whole; leave --what or --path-number out")
+    paths = film_draws(path)
+    if not 0 <= wanted.path < (number := paths.sizes["draw"]):
+        raise BadInput(f"{path} has no path {wanted.path}; choose one from 0 to {number - 1}")
+    return paths.isel(chain=0, draw=wanted.path)
 
 
 def _spread_out(values: np.ndarray, rows: list[int | None]) -> np.ndarray:

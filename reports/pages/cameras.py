@@ -1,5 +1,5 @@
-"""One body from two calibrated cameras, judged by the two that are left out, and faults planted in
-one view of four: writes reports/cameras.md.
+"""One body from two or three calibrated cameras, judged by those that are left out, and faults
+planted in one view of four: writes reports/cameras.md.
 
     python -m poseterior.reports.pages.cameras ../shared/data work
 
@@ -9,7 +9,7 @@ film. `work` keeps what is judged, and a run that was stopped goes on there.
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,21 +34,27 @@ from poseterior.reports.pages.honest import STRETCH
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
-JUDGED_FRAMES = 8
-"""Instants of the film at which every pair of cameras is judged."""
-FAULTY_FRAMES = 32
+JUDGED_FRAMES = 20
+"""Instants of the film at which every pair and every three of the cameras are judged."""
+FAULTY_FRAMES = 100
 """Instants that get each fault, in one camera after the other."""
 JUDGED_DRAWS, JUDGED_ROOTS = 1000, 800
 FROM_POSTERIOR, BY_TRIANGULATION = WAYS = "posterior", "triangulation"
-JUDGED_AXES = {"depth": slice(0, 1), "side": slice(1, None)}
-"""That of which a pair of cameras says least, and those across it."""
-PAIRS = list(itertools.combinations(range(4), 2))
-MOVED = 0.5
-"""Body units by which a wrist's keypoint is moved."""
+JUDGED_AXES = {
+    2: {"depth": slice(0, 1), "side": slice(1, None)},
+    3: {"image": slice(None)},
+}
+"""By the number of cameras: that axis of which a pair says least, and those across it; the image of
+the camera that three leave out."""
+SETS = {number: list(itertools.combinations(range(4), number)) for number in JUDGED_AXES}
+"""By number, the cameras that are judged by the others."""
 LIKELY = 0.5
 """Probability above which a fault counts as found."""
 WRIST = JOINT_INDEX["right_wrist"]
-UNTOUCHED, MOVED_WRIST, EXCHANGED_LEGS = PLANTED = "nothing", "a wrist moved", "legs exchanged"
+UNTOUCHED, EXCHANGED_LEGS = "nothing", "legs exchanged"
+MOVED = {"a wrist moved": 0.5, "a wrist moved far": 1.0}
+"""Body units by which a wrist's keypoint is moved."""
+PLANTED = UNTOUCHED, *MOVED, EXCHANGED_LEGS
 
 
 class Beliefs(NamedTuple):
@@ -135,42 +141,65 @@ def true_errors(
     return moved - joints_seen(views, xy, score).points
 
 
-class TruthOfOthers(NamedTuple):
-    """What other cameras say of the limbs' joints `(8, 3)`, in `axes` of which the judged cameras
-    say least first, about the hips' midpoint; and the errors `(n, 8, 3)` that this may have."""
+@dataclasses.dataclass(frozen=True)
+class TruthOfOthers:
+    """What cameras that a posterior has not seen say of the limbs' joints, `joints` `(8, A)` mm
+    about the middle of all; the `errors` `(n, 8, A)` that this may have; and what makes of joints
+    of the world `(n, 15, 3)` such coordinates."""
 
-    axes: np.ndarray
     joints: np.ndarray
     errors: np.ndarray
+    of: Callable[[np.ndarray], np.ndarray]
 
 
 def truth_beside(
     session: Session, row: int, cameras: Sequence[int], doubt: np.ndarray, given: Beliefs
 ) -> TruthOfOthers:
     """What the others say beside some cameras, whose joints have the covariances `doubt`
-    `(15, 3, 3)`."""
+    `(15, 3, 3)`: of two others in axes of which the judged cameras say least first; of one in its
+    image."""
     others = [one for one in range(len(session.cameras)) if one not in cameras]
-    errors = true_errors(session, row, others, given, np.random.default_rng([row, *cameras]))
+    rng = np.random.default_rng([row, *cameras])
+    if len(others) == 1:
+        return truth_in_image(session, row, others[0], given, rng)
+    errors = true_errors(session, row, others, given, rng)
     _, axes = np.linalg.eigh(doubt[HIPS].mean(axis=0))
     axes = axes[:, ::-1]
     joints = triangulated(session, row, others, given)[0]
-    return TruthOfOthers(axes, _limbs(joints @ axes), _limbs(errors @ axes))
+    return TruthOfOthers(
+        _limbs(joints @ axes), _limbs(errors @ axes), lambda draws: _limbs(draws @ axes)
+    )
+
+
+def truth_in_image(
+    session: Session, row: int, other: int, given: Beliefs, rng: np.random.Generator
+) -> TruthOfOthers:
+    """What one camera saw, mm at the person's distance. Where it points beside, it does so for all
+    joints, which are taken about their middle."""
+    camera, scale = session.straight[other], session.scale[other, row]
+    errors = given.stray[:, None] * rng.standard_normal((JUDGED_DRAWS, 15, 2))
+
+    def of(draws: np.ndarray) -> np.ndarray:
+        return _limbs(camera.project(draws) / scale)
+
+    return TruthOfOthers(_limbs(session.keypoints[other, row] / scale), _limbs(errors), of)
 
 
 def _limbs(joints: np.ndarray) -> np.ndarray:
-    """`(..., 8, 3)`: the limbs' joints about the hips' midpoint."""
-    return (joints - joints[..., HIPS, :].mean(axis=-2, keepdims=True))[..., LIMB_JOINTS, :]
+    """`(..., 8, A)`: the limbs' joints about the middle of all."""
+    return (joints - joints.mean(axis=-2, keepdims=True))[..., LIMB_JOINTS, :]
 
 
 def judged(draws: np.ndarray, truth: TruthOfOthers) -> CameraStanding:
     """Draws of joints `(n, 15, 3)` of the world beside what the other cameras say."""
-    points = _limbs(draws @ truth.axes)
+    points = truth.of(draws)
     low, high = np.quantile(points, [TAIL, 1 - TAIL], axis=0)
     level = (points + truth.errors < truth.joints).mean(axis=0)
+    level = np.where(np.isfinite(truth.joints), level, np.nan)
     return CameraStanding(level, np.abs(points.mean(axis=0) - truth.joints), high - low)
 
 
-def judge_pair(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict[str, Any]:
+def judge_cameras(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict[str, Any]:
     """By way, the standings of some cameras, lists of rows."""
     model, session = PoseModel(), seen.session
     rows = frames_of(session, JUDGED_FRAMES)
@@ -195,8 +224,8 @@ def planted(view: CameraView, kind: str, unit: float) -> CameraView:
     """A view with a fault; `unit` pixels are a body unit there."""
     person = view.detection
     keypoints = person.keypoints.copy()
-    if kind == MOVED_WRIST:
-        keypoints[WRIST, 0] += MOVED * unit
+    if kind in MOVED:
+        keypoints[WRIST, 0] += MOVED[kind] * unit
     if kind == EXCHANGED_LEGS:
         keypoints = keypoints[ORDERS[EXCHANGE_INDEX["legs"]]]
     return dataclasses.replace(view, detection=dataclasses.replace(person, keypoints=keypoints))
@@ -238,20 +267,35 @@ def fault_table(found: dict[str, list[Any]]) -> Sheet:
     rows, every = [], {kind: _faulty(cases) for kind, cases in found.items()}
     other = [row for row, joint in enumerate(LIMB_JOINTS) if joint != WRIST]
     for kind, one in every.items():
-        alarms = {MOVED_WRIST: one.outlier > LIKELY, EXCHANGED_LEGS: one.legs > LIKELY}
+        outlier, legs = alarms = one.outlier > LIKELY, one.legs > LIKELY
         hit, moved = "", ""
         if kind != UNTOUCHED:
-            place = (np.arange(len(one.view)), one.view, WRIST)[: alarms[kind].ndim]
-            hit = f"{alarms[kind][place].sum()} of {len(one.view)}"
-            alarms[kind][place] = False
+            alarm = outlier if kind in MOVED else legs
+            place = (np.arange(len(one.view)), one.view, WRIST)[: alarm.ndim]
+            hit = f"{alarm[place].sum()} of {len(one.view)}"
+            alarm[place] = False
             usual = every[UNTOUCHED]
             step = np.abs(one.mean - usual.mean)[:, other] / usual.width[:, other]
             moved = f"{np.median(step):.2f}"
-        false = [f"{100 * alarm.mean():.1f} %" for alarm in alarms.values()]
+        false = [f"{100 * alarm.mean():.1f} %" for alarm in alarms]
         rows.append([kind, hit, *false, moved])
     head = ["planted in one view of four", "found", "other keypoints called outliers"]
     head += ["other views' legs called exchanged", "other joints move, of their width"]
     return sheet_of([Column(head[0], left=True), *map(Column, head[1:])], rows)
+
+
+def price_of_an_outlier(given: list[Beliefs]) -> dict[str, str]:
+    """How many nats it costs to call a right wrist's keypoint an outlier, and how many standard
+    deviations a body unit is there."""
+    found = []
+    for one in given:
+        law = one.likelihood.learned
+        assert law is not None
+        wrong, sd = one.likelihood.faults.outlier[WRIST], float(law.sigma[WRIST])
+        area = np.pi * one.likelihood.faults.reach**2
+        found.append((np.log((1 - wrong) / (2 * np.pi * sd**2)) - np.log(wrong / area), 1 / sd))
+    nats, deviations = np.mean(found, axis=0)
+    return {"nats": f"{nats:.0f}", "deviations": f"{deviations:.0f}"}
 
 
 def _faulty(cases: list[Any]) -> FaultyInstants:
@@ -278,17 +322,17 @@ def _median(values: np.ndarray) -> str:
     return f"{np.median(values):.0f}"
 
 
-def pair_table(found: dict[str, dict[str, Any]]) -> Sheet:
-    """Coverage, errors and widths of every pair of cameras, by way."""
+def standing_table(found: dict[str, dict[str, Any]], axes: dict[str, slice]) -> Sheet:
+    """Coverage, errors and widths by axis of sets of cameras, by way."""
     columns = [Column("cameras", left=True), Column("way", left=True)]
-    for name in JUDGED_AXES:
+    for name in axes:
         columns += [Column(f"{name}: 50 %"), Column(f"{name}: 95 %")]
         columns += [Column(f"{name}: error"), Column(f"{name}: width")]
     rows = []
     for cameras, ways in found.items():
         for way in WAYS:
             one, cells = standings(ways, way), []
-            for axis in JUDGED_AXES.values():
+            for axis in axes.values():
                 given = one.level[..., axis], ways["rows"]
                 cells += [_share(covered(*given, within)) for within in (0.5, 0.95)]
                 cells += [_median(part[..., axis]) for part in (one.error, one.width)]
@@ -297,15 +341,15 @@ def pair_table(found: dict[str, dict[str, Any]]) -> Sheet:
 
 
 def pooled(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """All pairs together, frame by frame."""
-    pairs = list(found.values())
-    whole = {way: np.concatenate([one[way] for one in pairs], axis=2) for way in WAYS}
-    return {"rows": pairs[0]["rows"], **whole}
+    """All sets together, frame by frame."""
+    sets = list(found.values())
+    whole = {way: np.concatenate([one[way] for one in sets], axis=2) for way in WAYS}
+    return {"rows": sets[0]["rows"], **whole}
 
 
-def coverage_of_pairs(found: dict[str, dict[str, Any]]) -> Figure:
-    """Coverage and errors of every pair of cameras, by way."""
-    figure = page(10.5, 4.4)
+def coverage_figure(found: dict[str, dict[str, Any]]) -> Figure:
+    """Coverage and errors of every set of cameras, by way."""
+    figure = page(10.5, 5.6)
     left, right = figure.subplots(1, 2, sharey=True)
     left.axvspan(92, 98, color=FAINT, alpha=0.2, lw=0)
     left.axvline(95, color=INK, lw=0.6)
@@ -334,19 +378,25 @@ def named(cameras: Sequence[int]) -> str:
     return ", ".join(str(one + 1) for one in cameras)
 
 
-def judge_all(seen: Film, work: Path) -> tuple[list[Beliefs], dict[str, dict[str, Any]]]:
-    """What is believed, and what every pair of cameras is worth."""
-    given = beliefs(seen)
-    files = {one: work / f"cameras-{''.join(map(str, one))}.json" for one in PAIRS}
-    return given, {
-        named(one): kept_json(file, judge_pair, seen, given, one) for one, file in files.items()
+def judge_all(
+    seen: Film, given: list[Beliefs], work: Path, number: int
+) -> dict[str, dict[str, Any]]:
+    """What every set of so many cameras is worth."""
+    files = {one: work / f"cameras-{''.join(map(str, one))}.json" for one in SETS[number]}
+    return {
+        named(one): kept_json(file, judge_cameras, seen, given, one) for one, file in files.items()
     }
 
 
 def main(data: Data, work: Work) -> Page:
     """Draws what is not there yet, then writes the page."""
     seen = film(data)
-    given, sets = judge_all(seen, work)
+    given = beliefs(seen)
+    sets = {number: judge_all(seen, given, work, number) for number in SETS}
+    pairs, triples = (
+        [standing_table(one, JUDGED_AXES[number]) for one in ({label: pooled(found)}, found)]
+        for (number, found), label in zip(sets.items(), ("all pairs", "all threes"), strict=True)
+    )
     faults = {
         kind: kept_json(
             work / f"faults-{kind.replace(' ', '-')}.json", find_faults, seen, given, kind
@@ -358,13 +408,16 @@ def main(data: Data, work: Work) -> Page:
         "draws": f"{JUDGED_DRAWS:,}",
         "roots": JUDGED_ROOTS,
         "pointing": " and ".join(f"{one.pointing:.2f}" for one in given),
-        "together": pair_table({"all pairs": pooled(sets)}),
-        "pairs": pair_table(sets),
+        "together": pairs[0],
+        "pairs": pairs[1],
+        "threes": triples[0],
+        "triples": triples[1],
         "faults": fault_table(faults),
         "faulty": FAULTY_FRAMES,
-        "moved": f"{MOVED:g}",
+        "moved": " and ".join(f"{far:g}" for far in MOVED.values()),
+        **price_of_an_outlier(given),
     }
-    return Page("cameras", values, {"cameras": coverage_of_pairs(sets)})
+    return Page("cameras", values, {"cameras": coverage_figure(sets[2] | sets[3])})
 
 
 if __name__ == "__main__":

@@ -26,17 +26,20 @@ from poseterior.inference.films.film import (
 )
 from poseterior.inference.stream import Item, all_draws, open_stream
 from poseterior.inference.studies.intervals import TAIL
+from poseterior.inference.studies.measured import MeasureStandings, standings_of
 from poseterior.probmodel import Detection, DetectorErrors, Likelihood, PoseModel
 from poseterior.probmodel.body import body_unit
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.datasets.sessions import judged_views
 from poseterior.probmodel.errors.laws import Student
-from poseterior.probmodel.layouts import corrected
+from poseterior.probmodel.layouts import MIDPOINTS, corrected, without_midpoints
 from poseterior.probmodel.motion import Motion, read_motion
 from poseterior.probmodel.motion.lowpass import butterworth
 from poseterior.probmodel.sessions import read_session
 from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
+from poseterior.reports.pages.honest import STRETCH
+from poseterior.reports.pages.measures import Measured, overview, within
 from poseterior.reports.pages.page import Data, Page, Work, run
 from poseterior.reports.pages.strangers import camera_turn, seen_from
 from poseterior.reports.tables import Sheet, sheet_of
@@ -110,7 +113,7 @@ def beam(data: Path, *, focal: bool) -> list[TrueFilm]:
             TrueFilm(
                 f"beam-{session.labels[view.camera]}{'-focal' if focal else ''}",
                 people,
-                camera.view(view.world.points),
+                without_midpoints(camera.view(view.world.points), MIDPOINTS),
                 np.sqrt(variance) * session.stray,
                 Lens(float(camera.focal[0]), camera.principal) if focal else None,
                 60.0,
@@ -333,6 +336,23 @@ def _cells(way: str, films: list[TrueFilm], judged: list[PathsJudged]) -> list[s
     return [*shares, *wide, f"{means[0]:.0f}", f"{means[1]:.1f}", f"{true:.1f}"]
 
 
+def measured(films: list[TrueFilm], work: Path) -> Measured:
+    """Where the truth's angles and lengths stand among those of paths, frame by frame."""
+    found, cluster = [], []
+    for number, film in enumerate(films):
+        ways, rows = ways_of(film, drawn(film, work))
+        paths, rng = ways[FILM_WAY], np.random.default_rng([number, 48])
+        truth = about_hips(film.truth[rows])
+        own = _truths_errors(len(paths), film.rate, len(rows), rng) * film.sigma[rows][..., None]
+        noisy = about_hips(paths + np.nan_to_num(own))
+        for at, row in enumerate(rows):
+            found.append(standings_of(truth[at], noisy[:, at], paths[:, at], rng))
+            # Of one person, stretches of the film; of several, people.
+            cluster.append(row // STRETCH if film.sigma.any() else number)
+    parts = map(np.stack, zip(*found, strict=True))
+    return Measured(MeasureStandings(*parts), np.array(cluster))
+
+
 def inside_limits(groups: list[list[TrueFilm]], work: Path) -> float:
     """The share of poses of paths that the limits allow."""
     limits, found = PoseModel().limits, []
@@ -375,6 +395,11 @@ def main(data: Data, work: Work) -> Page:
         f"captured, {rate:g} a second": captured_films(data, law, rate, RATED_PEOPLE)
         for rate in OTHER_RATES
     }
+    of_measures = {
+        "beam, `--focal`": measured(real["beam, `--focal`"], work),
+        "captured": measured(held, work),
+    }
+    focal_within, captured_within = (within(one.scores) for one in of_measures.values())
     constant, slow, quick = (f"{100 * share:.0f}" for share in ERROR_SHARES)
     values: dict[str, str | int | Sheet] = {
         "constant": constant,
@@ -386,6 +411,9 @@ def main(data: Data, work: Work) -> Page:
         "inside": f"{100 * inside_limits([*real.values(), *made.values()], work):.0f}",
         "real": table(real, work),
         "captured": table(made, work),
+        "measures": overview(of_measures),
+        "focal_within": focal_within,
+        "captured_within": captured_within,
         "people": len(held),
         "rated": RATED_PEOPLE,
         "metres": f"{METRES:g}",

@@ -19,11 +19,11 @@ from poseterior.inference.hypothesis import diverse
 from poseterior.inference.importance.weighted import FEWEST_EFFECTIVE
 from poseterior.inference.studies.calibration.assess import ECE_STAND_INS
 from poseterior.inference.studies.calibration.ece import ece
-from poseterior.inference.studies.calibration.levels import median_levels, stand_in_levels
 from poseterior.inference.studies.errorlaws.judge import LEVELS, shares_within, standings
 from poseterior.inference.studies.errorlaws.pairs import pairs_of_session
 from poseterior.inference.studies.evaluation.samples import ECE_SAMPLES, JUDGED_NAMES
 from poseterior.inference.studies.intervals import Interval, of_share
+from poseterior.inference.studies.levels import median_levels, stand_in_levels
 from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.sessions import Session

@@ -45,6 +45,7 @@ from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import page as blank_page
 from poseterior.reports.pages.clocks import digits, finish, frames_of, quartiles, timed, titled
 from poseterior.reports.pages.page import SHARED, Data, Page, Values, in_doubles, run
+from poseterior.reports.pages.waits import waits
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.evaluation import PAPERS_FRAMES
 
@@ -200,9 +201,10 @@ def served(data: Path) -> Sheet:
     rows = []
     for what, action in ways.items():
         action()
-        rows.append((what, 1e6 * min(_processor(action) for _ in range(3)) / SERVED))
-    head = f"{SERVED:,} draws"
-    return sheet_of([head, Column("µs of a processor a draw", form=digits)], rows)
+        used = min(_processor(action) for _ in range(3))
+        rows.append((what, SERVED / timed(action), 1e6 * used / SERVED))
+    heads = "draws a second", "µs of a processor a draw"
+    return sheet_of([f"{SERVED:,} draws", *(Column(head, form=digits) for head in heads)], rows)
 
 
 def _processor(action: Callable[[], object]) -> float:
@@ -461,6 +463,7 @@ def main(data: Data = SHARED) -> Page:
         "draws": f"{SPEED_DRAWS:,}",
         "published": published(data),
         "served": served(data),
+        "waits": waits(),
         "cores": str(os.cpu_count()),
         "machine": platform.machine(),
         "stages": stages_table(where_it_goes(model, frames[STAGE_FRAMES])),

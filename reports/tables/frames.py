@@ -1,7 +1,8 @@
 """What came out of a stream of frames."""
 
+import itertools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -12,13 +13,17 @@ from poseterior.reports.tables.posterior import MILLIMETRES, UNIT_NOTE
 from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, fixed, number
 from poseterior.reports.tables.words import spoken
 
+BELIEVED = 0.5
+"""Probability above which a detection is called wrong."""
+MOST_RUNS = 5
+"""Stretches of frames that are named."""
 LIMB_ENDS = tuple(sorted(bone.end for bone in BONES))
 """The joints that move."""
 
 
 def stream_json(summary: xr.Dataset) -> dict[str, Any]:
-    """How many frames came to what end, and each frame's draws, evidence and effective roots (None
-    where the root is fixed)."""
+    """How many frames came to what end, and each frame's draws, evidence, effective roots and
+    the probability that left and right are exchanged (None where nothing is known of them)."""
     status, counts = np.unique(summary.status.values, return_counts=True)
     rows = zip(
         summary.frame.values,
@@ -27,6 +32,7 @@ def stream_json(summary: xr.Dataset) -> dict[str, Any]:
         summary.num_draws.values,
         summary.log_evidence.values,
         summary.effective_roots.values,
+        summary.exchange.values[:, 1:].sum(axis=1),
         strict=True,
     )
     frames = [
@@ -37,8 +43,9 @@ def stream_json(summary: xr.Dataset) -> dict[str, Any]:
             "num_draws": int(draws),
             "log_evidence": number(evidence),
             "effective_roots": number(effective),
+            "exchanged": number(exchanged),
         }
-        for name, end, why, draws, evidence, effective in rows
+        for name, end, why, draws, evidence, effective, exchanged in rows
     ]
     return {"status": dict(zip(map(str, status), map(int, counts), strict=True)), "frames": frames}
 
@@ -121,10 +128,62 @@ def stream_lines(summary: xr.Dataset, fragments: Sequence[str] = ()) -> list[str
             f" {effective.min():.0f}"
         )
     lines += [f"{name}: {why}" for name, why in reasons]
+    lines += fault_lines(summary)
     if fragments:
         lines.append(
             f"{_count(len(fragments), 'fragment')} of people left out: too little is seen of them"
             f" beside somebody else (the first: {fragments[0]})"
+        )
+    return lines
+
+
+class Misread(NamedTuple):
+    """Frames one after the other, `first` to `last`, in which left and right of the same parts are
+    exchanged, more probably than not; the least of the probabilities, and how many frames."""
+
+    first: str
+    last: str
+    pattern: str
+    share: float
+    number: int
+
+
+def misread(summary: xr.Dataset) -> list[Misread]:
+    """Where left and right are exchanged, by person and in their order."""
+    owner = np.array([person for _, person in _names(summary)])
+    share = np.nan_to_num(summary.exchange.values[:, 1:])
+    total = share.sum(axis=1)
+    pattern = np.where(total > BELIEVED, 1 + np.argmax(share, axis=1), 0)
+    found = []
+    for person in dict.fromkeys(owner.tolist()):
+        for which, some in itertools.groupby(np.flatnonzero(owner == person), pattern.__getitem__):
+            rows = list(some)
+            if which:
+                first, last = (str(summary.frame.values[row]) for row in (rows[0], rows[-1]))
+                name = str(summary.pattern.values[which])
+                found.append(Misread(first, last, name, float(total[rows].min()), len(rows)))
+    return found
+
+
+def fault_lines(summary: xr.Dataset) -> list[str]:
+    """In which frames left and right are exchanged, and which keypoints are wrong most often."""
+    lines, runs = [], misread(summary)
+    if runs:
+        each = [
+            f"{run.first}{'' if run.number == 1 else f' to {run.last}'}"
+            f" ({run.pattern}, {100 * run.share:.0f} %)"
+            for run in runs[:MOST_RUNS]
+        ]
+        more = f" and {len(runs) - MOST_RUNS} more" if len(runs) > MOST_RUNS else ""
+        total = sum(run.number for run in runs)
+        frames = _count(total, "frame")
+        lines.append(f"left and right are exchanged in {frames}: {', '.join(each)}{more}")
+    wrong = (summary.outlier.values > BELIEVED).sum(axis=0)
+    if wrong.any():
+        worst = int(np.argmax(wrong))
+        lines.append(
+            f"{_count(int(wrong.sum()), 'keypoint')} probably wrong, the {spoken(JOINTS[worst])}"
+            f" most often ({_count(int(wrong[worst]), 'frame')})"
         )
     return lines
 

@@ -33,12 +33,6 @@ from poseterior.inference.studies.calibration.controls import (
     following_the_recipe,
     ignoring,
 )
-from poseterior.inference.studies.calibration.levels import (
-    energy_level,
-    median_levels,
-    rank_level,
-    stand_in_levels,
-)
 from poseterior.inference.studies.calibration.posteriors import (
     FromFile,
     independent,
@@ -61,6 +55,12 @@ from poseterior.inference.studies.calibration.verdict import (
     CANNOT_TELL,
     MISCALIBRATED,
     holm,
+)
+from poseterior.inference.studies.levels import (
+    energy_level,
+    median_levels,
+    rank_level,
+    stand_in_levels,
 )
 from poseterior.probmodel import BadInput, Likelihood, PoseModel
 from poseterior.probmodel.root_priors import CANDIDATES

@@ -10,11 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from poseterior.inference.exact.loops.seeds import seeded
+from poseterior.inference.exact.loops.tables import ROOTS
 from poseterior.inference.exact.rates import Budget
-from poseterior.inference.importance import rejection, two_stage
-from poseterior.inference.importance.fault_patterns import log_priors
+from poseterior.inference.importance import rejection, torso_proposals, two_stage
+from poseterior.inference.importance.fault_patterns import fault_patterns, log_priors
 from poseterior.inference.importance.rejection import (
     ATTEMPTS,
     FIRST,
@@ -24,7 +27,12 @@ from poseterior.inference.importance.rejection import (
     _result,
     _Rounds,
 )
-from poseterior.inference.importance.torso_proposals import Batches, exact_proposal
+from poseterior.inference.importance.torso_proposals import (
+    Batches,
+    draw_torso,
+    exact_proposal,
+    weighted_proposal,
+)
 from poseterior.inference.importance.torsos import log_mass, rotations_of, torso_problem
 from poseterior.inference.importance.two_stage import PatternRoots, propose_roots
 from poseterior.inference.importance.weighted import WeightedRoots, _enough, log_limbs
@@ -155,6 +163,173 @@ def test_a_pattern_that_a_pilot_run_did_not_find_is_not_looked_for_for_ever(
     assert spent == 111
 
 
+def fake_plan(share: float, oversampling: int = 8) -> Any:
+    """Of a pattern whose torso problem nobody asks for."""
+    return SimpleNamespace(share=share, oversampling=oversampling, likely=True, pattern=None)
+
+
+def fake_draws(log_evidence: float, share: np.ndarray, inclusion: float) -> Any:
+    """Roots that have these shares of a torso's evidence."""
+    return SimpleNamespace(
+        points=some_roots(len(share)),
+        log_share=np.log(share),
+        inclusion=np.full(len(share), inclusion),
+        log_evidence=log_evidence,
+        proposals=100,
+        enough=True,
+    )
+
+
+def test_shares_of_the_roots_are_no_part_of_the_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two patterns whose torsos have the evidences 2 and 5, and a quarter and three quarters of
+    twenty roots. Of the first, five of forty roots are taken, all alike; of the second all fifteen,
+    which have shares of 1 to 15. Faults are proposed by exp(-0.7) where the prior says exp(-0.2).
+    The mean weight is the sum of both evidences times exp(0.5), to the last digit."""
+    uneven = np.arange(1, 16) / 120
+    torsos = [
+        fake_draws(math.log(2), np.full(40, 1 / 40), 0.5),
+        fake_draws(math.log(5), uneven, 0.25),
+    ]
+    monkeypatch.setattr(two_stage, "_plan", lambda *_: ([fake_plan(0.25), fake_plan(0.75)], 30))
+    monkeypatch.setattr(two_stage, "_draw", lambda *_: torsos)
+    scores: Any = SimpleNamespace(take=lambda rows: rows)
+    for name, found in {
+        "_part_of_pool": lambda *_: None,
+        "fit_score": lambda *_: scores,
+        "log_first_stage": lambda *arguments: np.zeros(len(arguments[-1].torso)),
+        "propose_faults": lambda rows, *_: (Faults.none(len(rows)), np.full(len(rows), -0.7)),
+        "log_priors": lambda _, faults: np.full(len(faults.exchange), -0.2),
+    }.items():
+        monkeypatch.setattr(two_stage, name, found)
+    people: Any = SimpleNamespace(model=None)
+    proposed = propose_roots(people, key(0), 20, Budget(1000))
+    weight, second = np.exp(proposed.log_weight - 0.5), proposed.pattern == 1
+    assert (~second).sum() == 5
+    assert weight.mean() == pytest.approx(2 + 5)
+    np.testing.assert_allclose(weight[~second], 2 / 0.25)
+    np.testing.assert_allclose(np.sort(weight[second]), 5 * 20 * uneven)
+    np.testing.assert_allclose(proposed.chance[~second], 0.5 * 5 / 40)
+    np.testing.assert_allclose(proposed.chance[second], 0.25)
+    np.testing.assert_array_equal(proposed.made, [100, 100])
+
+
+def test_a_pattern_has_the_share_of_roots_that_it_has_of_the_posterior(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By the sum of its pilot roots' estimates × the torso's evidence × the prior of its faults:
+    2 × 3 × 1 and (1 + 3) × 1 × 1/2 are 3 to 1; one tenth is shared out evenly among three, of which
+    the last brought no root. Where none did, all is."""
+    pilots: Any = [SimpleNamespace(log_evidence=math.log(value)) for value in (3.0, 1.0, 9.0)]
+    estimates = [np.log([2.0]), np.log([1.0, 3.0]), np.zeros(0)]
+    prior = {0: 0.0, 1: math.log(0.5), 2: 0.0}
+    monkeypatch.setattr(two_stage, "_log_prior", lambda _, pattern: prior[pattern])
+    nothing: Any = None
+    patterns: Any = [0, 1, 2]
+    share = two_stage._shares(nothing, patterns, pilots, estimates)
+    np.testing.assert_allclose(share, 0.9 * np.array([0.75, 0.25, 0.0]) + 0.1 / 3)
+    none = two_stage._shares(nothing, patterns, pilots, [np.zeros(0)] * 3)
+    np.testing.assert_allclose(none, 1 / 3)
+
+
+def test_a_pilot_root_has_its_share_of_the_torso(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the limbs say of it × what it has of the torso's evidence: of four roots together it is
+    their mean, however unevenly they were drawn."""
+    share = np.array([0.1, 0.2, 0.3, 0.4])
+    monkeypatch.setattr(two_stage, "fit_score", lambda *_: None)
+    monkeypatch.setattr(two_stage, "pool_of", lambda _: None)
+    monkeypatch.setattr(two_stage, "log_first_stage", lambda *_: np.log([4.0, 3.0, 2.0, 1.0]))
+    people: Any = SimpleNamespace(model=None)
+    nothing: Any = None
+    found = two_stage._pilot_estimate(people, nothing, fake_draws(7.0, share, 1.0))
+    assert np.exp(found).sum() == pytest.approx(share @ [4, 3, 2, 1])
+    assert not len(two_stage._pilot_estimate(people, nothing, fake_draws(7.0, share[:0], 1.0)))
+
+
+def test_an_outlier_of_the_torso_is_worth_as_much_in_its_pattern() -> None:
+    """As `test_an_outlier_is_worth_its_odds_and_its_own_peak` has it, over that of no outlier."""
+    found = posterior(Row(UNCERTAIN, "", "gaussian", faults="outliers"))
+    none, *some = fault_patterns(found)
+    outlier = np.stack([pattern.faults.outlier for pattern in (none, *some)])
+    priors = log_priors(found, Faults(np.zeros(len(outlier), int), outlier))
+    logs = [two_stage._log_prior(found, pattern) for pattern in (none, *some)]
+    assert logs[0] == 0
+    np.testing.assert_allclose(logs, priors - priors[0])
+    assert max(logs[1:]) < -3
+
+
+@pytest.mark.parametrize("lens", [None, Lens(FOCAL, PRINCIPAL)])
+def test_a_root_is_taken_by_what_its_limbs_would_weigh_it(lens: Lens | None) -> None:
+    """The first-stage weight is what `log_limbs` makes of the fit in the limbs' evidence's
+    place."""
+    found, points = posterior(Row(UNCERTAIN, "", "gaussian"), lens), some_roots(7)
+    fit: Any = SimpleNamespace(total=-np.arange(7.0))
+    (pattern,) = fault_patterns(found)
+    none: Any = None
+    limbs: list[dict[str, Any]] = [
+        {"arms": SimpleNamespace(log_evidence=-float(row), draws=none)} for row in range(7)
+    ]
+    expected = log_limbs(found, points, Faults.none(7), limbs)
+    weight = two_stage.log_first_stage(found, fit, pattern, points)
+    np.testing.assert_allclose(weight, expected, rtol=1e-9)
+
+
+def test_weighted_proposals_have_the_mean_of_their_weights(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Half of the proposals bring roots, of weights 1 and 3, and so one on average: the
+    evidence is the mass. Two hundred are taken, those that weigh more three times as often; then
+    all have the same share. The variance is that of as many weights: 5/2 - 1 over their number."""
+
+    def propose(_state: Any, proposals: int, roots: np.ndarray) -> tuple[int, int]:
+        roots["inverse"] = 1.0
+        roots["torso"][proposals // 4 :] = 1
+        roots["log_weight"] = np.log([1.0, 3.0])[roots["torso"]]
+        return proposals // 2, proposals
+
+    problem: Any = SimpleNamespace(lowest=1.0, highest=2.0, upright=0.0)
+    proposal: Any = SimpleNamespace(mass=7.0, propose=propose, thinned=False, exact=False)
+    monkeypatch.setattr(torso_proposals, "log_mass", lambda _, mass: math.log(mass))
+    monkeypatch.setattr(
+        torso_proposals, "points_of", lambda _, roots: SimpleNamespace(torso=roots["torso"])
+    )
+    batches = Batches(problem, proposal, [0, 0])
+    found = draw_torso(batches, 100, Budget(10**6), most=200)
+    made = found.proposals - torso_proposals.PROBE
+    assert found.log_evidence == pytest.approx(math.log(7))
+    assert found.variance == pytest.approx(1.5 / made)
+    np.testing.assert_allclose(found.log_share, -math.log(200))
+    assert abs(found.points.torso.sum() - 150) <= 1
+    expected = np.where(found.points.torso == 1, 3, 1) * 200 / made
+    np.testing.assert_allclose(found.inclusion, expected)
+
+
+@pytest.mark.parametrize(
+    ("every", "drawn", "rate"),
+    [(2000, 4, 3 / 7999), (7001, 2, 2 / 16384), (16000, 2, 1 / 48767)],
+    ids=["most", "limit", "number"],
+)
+def test_proposals_that_a_root_ends_are_one_fewer(
+    every: int, drawn: int, rate: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two roots are wanted, or four within 2 × 8,192 proposals; each batch (8,192, 8,192, 16,384,
+    16,384 …) brings them at the same places. Where the last root ended the search, (m - 1) /
+    (n - 1) is without bias; where the limit did, m / n."""
+
+    def propose(_state: Any, proposals: int, roots: np.ndarray) -> tuple[int, int]:
+        number = np.arange(every - 1, proposals, every)
+        roots["inverse"] = 1.0
+        roots["number"][: len(number)] = number
+        return len(number), proposals
+
+    problem: Any = SimpleNamespace(lowest=1.0, highest=2.0, upright=0.0)
+    proposal: Any = SimpleNamespace(mass=7.0, propose=propose, thinned=False, exact=True)
+    monkeypatch.setattr(torso_proposals, "log_mass", lambda _, mass: math.log(mass))
+    monkeypatch.setattr(torso_proposals, "points_of", lambda _, roots: roots)
+    found = draw_torso(Batches(problem, proposal, [0, 0]), 2, Budget(10**6), most=4)
+    assert len(found.log_share) == drawn
+    assert found.log_evidence == pytest.approx(math.log(7 * rate))
+
+
 def test_no_root_is_nearer_than_the_prior_allows() -> None:
     """Scales are the lowest over the inverse: of four proposals two are not above the highest."""
 
@@ -245,6 +420,48 @@ def test_the_evidence_of_a_torso_is_that_of_all_rotations(torso: TorsoByHand) ->
     assert abs(torso.log_evidence - expected) < 4 * error
 
 
+def test_weights_make_up_for_approximations(torso: TorsoByHand) -> None:
+    """Of proposals by approximate cells: the mean weight × the mass is the evidence by bounds, to 4
+    standard errors; by approximations without their weights it is not, by far."""
+    problem = torso.problem
+    proposal = weighted_proposal(problem)
+    roots, made = Batches(problem, proposal, [3, 4]).make(PROPOSALS, PROPOSALS, 0)
+    weight = np.exp(roots["log_weight"])
+    evidence = log_mass(problem, proposal.mass) + math.log(weight.sum() / made)
+    error = math.hypot(len(torso.roots) ** -0.5, math.sqrt(np.sum(weight**2)) / weight.sum())
+    assert error < 0.02
+    assert abs(evidence - torso.log_evidence) < 4 * error
+    forgotten = log_mass(problem, proposal.mass) + math.log(len(roots) / made)
+    assert abs(forgotten - torso.log_evidence) > 9 * error
+
+
+@pytest.mark.parametrize(("law", "df"), [("student", 5.0), ("gaussian", None)])
+def test_a_root_counts_by_what_its_law_has_more_than_the_proposal(
+    law: str, df: float | None
+) -> None:
+    """A Student's t is proposed by the Gaussian that is as dense at the peak and at the reach,
+    beyond which lies e^-4.5 of the mass: SciPy's density of every joint's error over that Gaussian,
+    beside the weights that approximate cells have. A Gaussian is its own proposal."""
+    problem = torso_problem(posterior(Row(UNCERTAIN, "", law, bias=True)), Faults.none())
+    proposal = weighted_proposal(problem)
+    found, _ = Batches(problem, proposal, [5, 6]).make(1 << 12, 1 << 12, 0)
+    bare = np.zeros(1 << 12, ROOTS)
+    number, _ = proposal.propose(seeded([5, 6], 0), 1 << 12, bare)
+    bare = bare[:number][problem.lowest <= problem.highest * bare["inverse"][:number]]
+    assert len(bare) > 1000
+    expected = np.zeros(len(bare))
+    if df is not None:
+        image = images(problem, bare["torso"], rotations_of(bare)) + bare["plane"][:, None]
+        error = image - bare["inverse"][:, None, None] * problem.joints.keypoints
+        standard = error / problem.joints.reach[:, None] * math.sqrt(df * math.expm1(9 / df))
+        t = stats.multivariate_t(shape=np.eye(2), df=df).logpdf
+        end = math.sqrt(df * math.expm1(9 / df))
+        slope = (t([end, 0]) - t([0, 0])) / end**2
+        expected = (t(standard) - t([0, 0]) - slope * np.sum(standard**2, axis=2)).sum(axis=1)
+        assert np.ptp(expected) > 1
+    np.testing.assert_allclose(found["log_weight"] - bare["log_weight"], expected, atol=1e-9)
+
+
 def test_roots_that_were_not_found_count_as_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of five roots that were asked for three were found, each of weight one as if it stood for
     five: their mean is what the sum of three is of five."""
@@ -308,13 +525,15 @@ def test_a_round_costs_its_attempts_and_its_limbs(monkeypatch: pytest.MonkeyPatc
 
 
 def test_what_a_bound_cuts_off_is_a_share_of_the_posterior() -> None:
-    """Weights of a half and of two bounds: one of 2.5 lies above."""
+    """Weights of a half and of two bounds: one of 2.5 lies above. Two roots are taken; the relative
+    variance of the evidence is Σ w² / (Σ w)² - 1/n of all ten that were tried."""
     nothing: Any = None
-    taken = Taken(some_roots(1), Faults.none(1), [{}])
+    taken = Taken(some_roots(2), Faults.none(2), [{}, {}])
     log_weight = np.array([math.log(0.5), math.log(2.0), -math.inf])
     found = _result(nothing, [taken], log_weight - 3, -3.0, 10, 1, 10)
     assert found.cut_off == pytest.approx(1 / 2.5)
     assert found.log_evidence == pytest.approx(math.log(0.25) - 3)
+    assert found.log_evidence_se**2 == pytest.approx((0.25 + 4) / 2.5**2 - 1 / 10)
 
 
 def test_the_bound_has_room_above_the_largest_weight() -> None:

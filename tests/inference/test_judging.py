@@ -11,11 +11,6 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from poseterior.inference.studies.calibration.levels import (
-    cut_open,
-    effective_number,
-    rank_level,
-)
 from poseterior.inference.studies.calibration.uniformity import uniformity
 from poseterior.inference.studies.calibration.verdict import CALIBRATED, MISCALIBRATED
 from poseterior.inference.studies.judging import judge_coverage, recalibrate
@@ -24,6 +19,11 @@ from poseterior.inference.studies.judging.judge import judge_brought, judge_leve
 from poseterior.inference.studies.judging.repair import read_recalibration
 from poseterior.inference.studies.judging.where import leaves_of, locally
 from poseterior.inference.studies.judging.wrong import WRONGS, locally_wrong, told
+from poseterior.inference.studies.levels import (
+    cut_open,
+    effective_number,
+    rank_level,
+)
 from poseterior.probmodel import BadInput
 
 RARE = 1e-4

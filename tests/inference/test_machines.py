@@ -1,5 +1,6 @@
 """Worker processes: who listens where, what they are told, and what if there are none."""
 
+import importlib
 import json
 import os
 import signal
@@ -256,6 +257,14 @@ def test_nobody_is_asked_where_there_is_nothing_to_do(monkeypatch):
         list(nobody.each(what_it_is, WORK))
     with pytest.raises(BadInput, match=r"workers must be at least 1, not 0"):
         list(Machines(0).each(what_it_is, WORK))
+
+
+def test_dask_that_a_command_has_hidden_is_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands hide it from xarray, which would import all of it."""
+    pytest.importorskip("distributed")
+    monkeypatch.setitem(sys.modules, "dask", None)  # type: ignore[arg-type]
+    assert machines._library() is sys.modules["distributed"]
+    assert importlib.import_module("dask").__name__ == "dask"
 
 
 @pytest.mark.slow

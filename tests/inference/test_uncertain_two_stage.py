@@ -134,6 +134,9 @@ def test_draws_that_judge_are_draws_of_the_prior(limits: str) -> None:
 def placed_pool(model: PoseModel) -> np.ndarray:
     """As `pool_of`, by the prior's draws and the model's joints."""
     poses, torso = prior_poses(model, [3, 4]), np.asarray(model.torsos)[0]
+    above = prior_poses(model, [3, 4], lower=False)
+    np.testing.assert_allclose(above.length, poses.length, rtol=1e-12)
+    np.testing.assert_allclose(above.upper, poses.upper, atol=1e-12)
     joints = np.asarray(model.joints(torso, *poses))
     starts = np.array([limb.bones[0].start for limb in LIMBS])
     axes = np.asarray(upper_axes(torso))[[limb.upper for limb in LIMBS]]

@@ -40,7 +40,16 @@ CORE: dict[str, tuple[str, ...]] = {
         BY_HAND,
         "tests/inference/test_uncertain_rejection.py",
     ),
-    "inference/importance/two_stage.py": (ROOTS, "tests/inference/test_uncertain_two_stage.py"),
+    "inference/importance/two_stage.py": (
+        BY_HAND,
+        "tests/inference/test_uncertain_two_stage.py",
+        ROOTS,
+    ),
+    "inference/importance/torso_proposals.py": (
+        BY_HAND,
+        "tests/inference/test_uncertain_gaussian.py",
+        ROOTS,
+    ),
     "inference/resampling.py": (STATISTICS, ROOTS, "tests/inference/test_benchmark.py"),
     "inference/studies/comparison/modes.py": (STATISTICS, COMPARISON),
     "inference/studies/comparison/mixing.py": (STATISTICS, COMPARISON),

@@ -769,6 +769,11 @@ REFUSALS = [
         "would replace what is read from fi",
     ),
     ("what of one", "@ --to csv --what mean", "is no film of frames; leave --what out"),
+    (
+        "path of one",
+        "@ --to csv --path-number 1",
+        "is no film, which alone has paths; leave --path-number out",
+    ),
     ("what else", "# --to csv --person 0 --what mode", r"'--what'.*mean.*hypothesis"),
     (
         "filter",

@@ -57,6 +57,14 @@ def test_a_film_is_whole_paths_and_a_second_call_goes_on(poseterior: Cli, tmp_pa
     assert "5 with a pose" in exported.out, exported
     with np.load(tmp_path / "x.npz") as arrays:
         assert arrays["times"] == pytest.approx(found.time.values)
+    alone = poseterior(
+        "export", out, "--to", "npz", "--path-number", 7, "--out", tmp_path / "7.npz"
+    )
+    assert "path 7" in alone.out, alone
+    with np.load(tmp_path / "7.npz") as arrays:
+        bones_of_path = lengths(arrays["joints"])
+    wanted = bones[7] / bones[7, :, :1]
+    np.testing.assert_allclose(bones_of_path / bones_of_path[:, :1], wanted, rtol=1e-5)
     for arguments, words in [
         ((path, "--fps", 20, "--cutoff", 3, "--out", out), "holds another run (its cutoff is 4"),
         ((out, "--fps", 20, "--out", tmp_path / "y"), "is a film already"),
@@ -67,6 +75,17 @@ def test_a_film_is_whole_paths_and_a_second_call_goes_on(poseterior: Cli, tmp_pa
         assert refused.code == 2, refused
         assert words in refused.err, refused
         assert refused.err.count("\n") == 1
+    for arguments, words in [
+        ((out, "--path-number", 12), "has no path 12; choose one from 0 to 11"),
+        (
+            (out, "--path-number", 1, "--what", "mean"),
+            "a path is whole; leave --what or --path-number out",
+        ),
+        ((out / "frames", "--person", 1, "--path-number", 1), "make a film of it"),
+    ]:
+        refused = poseterior("export", *arguments, "--to", "npz", "--out", tmp_path / "no.npz")
+        assert refused.code == 2, refused
+        assert words in refused.err, refused
 
 
 def test_what_can_be_no_film_is_said_before_anything_is_drawn(

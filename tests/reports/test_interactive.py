@@ -18,6 +18,7 @@ from poseterior.inference.hypothesis import Hypothesis, hypotheses
 from poseterior.inference.results import Result
 from poseterior.inference.saved import read_result
 from poseterior.inference.stream import LEVELS
+from poseterior.probmodel.errors.faults import EXCHANGES
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
@@ -96,12 +97,15 @@ def film_tree(names: list[str], k: int = 2, seed: int = 0) -> xr.DataTree:
     poses[~some], depth[~some] = np.nan, np.nan
     mean = np.where(some[:, None, None], poses[:, 0], np.nan)
     coords = {"frame": names, "joint": list(JOINTS), "axis": list("xyz"), "level": list(LEVELS)}
+    coords |= {"pattern": list(EXCHANGES)}
     summary = {
         "status": ("frame", np.where(some, "complete", "bad input")),
         "sentence": ("frame", np.where(some, "", f"too little of {EVIL}")),
         "num_draws": ("frame", 10 * some),
         "log_evidence": ("frame", np.where(some, -20.0, -np.inf)),
         "effective_roots": ("frame", np.full(len(names), np.nan)),
+        "outlier": (("frame", "joint"), np.zeros((len(names), NUM_JOINTS))),
+        "exchange": (("frame", "pattern"), np.tile(np.eye(6)[0], (len(names), 1))),
         "mean": (("frame", "joint", "axis"), mean),
         "sd": (("frame", "joint", "axis"), np.abs(mean)),
         "depth": (("frame", "joint", "level"), depth),

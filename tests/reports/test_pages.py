@@ -26,6 +26,7 @@ from poseterior.reports.pages import (
     readings,
     samplers,
     speed,
+    waits,
 )
 from poseterior.reports.tables import leaderboard as tables
 from poseterior.reports.tables import sheet_of
@@ -185,6 +186,15 @@ def test_costs_are_shown_by_quartiles() -> None:
     assert rows["acceptance of legs, %"] == ["20"] * 5
     assert rows["times faster than naive groups"][2] == "200"
     assert rows["times the floor (23 random numbers)"][2] == "10"
+
+
+def test_waits_are_compared_by_work() -> None:
+    """Whatever else the machine did meanwhile."""
+    found = {"imports": waits.Wait(9.0, 2.0), "a call": waits.Wait(12.0, 5.0)}
+    assert waits.waits_table(found).texts() == [
+        ["imports", "9", "2", "1"],
+        ["a call", "12", "5", "2.5"],
+    ]
 
 
 def test_stages_of_an_attempt_are_shown_by_medians() -> None:

@@ -17,12 +17,14 @@ from poseterior.inference.results import Result
 from poseterior.inference.studies.evaluation.relations import Relation
 from poseterior.inference.studies.evaluation.scores import Interval
 from poseterior.probmodel.anatomy.limits import AnatomicalLimits, Check
-from poseterior.probmodel.skeleton import BONE_NAMES, JOINT_INDEX, JOINTS
+from poseterior.probmodel.skeleton import BONE_NAMES, JOINT_INDEX, JOINTS, NUM_JOINTS
 from poseterior.reports import tables
 from poseterior.reports.tables import posterior
 from poseterior.reports.tables.evaluation import relations_table
+from poseterior.reports.tables.frames import Misread, fault_lines, misread
 from poseterior.reports.tables.posterior import facing_sentences
 from poseterior.reports.tables.words import undetected
+from tests.reports.test_interactive import film_tree
 
 UPRIGHT = np.diag(
     [1.0, -1.0, -1.0]
@@ -418,3 +420,31 @@ def test_sides_and_sentences_say_where_chests_face() -> None:
     (sentence, *_) = facing_sentences(tree)
     other = tables.facing_words(tables.pose_facing(left))
     assert f"by share of the draws: towards camera 67 %; {other} 33 %." in sentence
+
+
+def test_frames_with_left_and_right_exchanged_are_told_in_stretches() -> None:
+    """By person, in the order of their frames; what is not more probable than not is left out."""
+    names = [f"{frame:02}/0" for frame in range(6)] + ["00/1", "01/1"]
+    legs, body = np.eye(6)[2], np.eye(6)[5]
+    none = np.eye(6)[0]
+    share = np.array([none, legs, 0.9 * legs + 0.1 * none, body, none, legs, 0.4 * legs, legs])
+    share[4] = np.nan  # a law without exchanges, or no pose
+    outlier = np.zeros((8, NUM_JOINTS))
+    outlier[[1, 2, 3], [4, 4, 7]] = 0.8
+    summary = film_tree(names)["summary"].to_dataset()
+    summary["exchange"].values[:] = share
+    summary["outlier"].values[:] = outlier
+    assert misread(summary) == [
+        Misread("01/0", "02/0", "legs", pytest.approx(0.9), 2),
+        Misread("03/0", "03/0", "body", 1.0, 1),
+        Misread("05/0", "05/0", "legs", 1.0, 1),
+        Misread("01/1", "01/1", "legs", 1.0, 1),
+    ]
+    assert fault_lines(summary) == [
+        "left and right are exchanged in 5 frames: 01/0 to 02/0 (legs, 90 %), 03/0 (body, 100 %),"
+        " 05/0 (legs, 100 %), 01/1 (legs, 100 %)",
+        f"3 keypoints probably wrong, the {JOINTS[4].replace('_', ' ')} most often (2 frames)",
+    ]
+    summary["exchange"].values[:] = none
+    summary["outlier"].values[:] = 0.0
+    assert not fault_lines(summary)

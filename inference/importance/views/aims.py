@@ -22,9 +22,13 @@ TRUST_STEPS = 8
 """Of reweighting lines of sight that do not meet."""
 ODD = 3.0
 """Standard deviations beyond which a line of sight counts less and less."""
-NEWTON_STEPS = 6
+NEWTON_STEPS = 4
 LEAST_SHARE = 0.1
 """Of either mode."""
+SEEN_WRONGLY = 0.05
+"""The share of joints, about, of which their views do not say where they are."""
+LEAST_REACH = 0.02
+"""Of a bone's length: the least standard deviation of its ends' distance."""
 
 
 class SpatialAim(NamedTuple):
@@ -64,6 +68,37 @@ def aim_of(
     point, normal = solve(weight)
     precision, axes = jnp.linalg.eigh(normal)
     return SpatialAim(point, axes, precision)
+
+
+class Reach(NamedTuple):
+    """How far a joint is from where the next one in its chain is seen: that `point` `(3,)`, the
+    `length` of the bone between them, and the `sd` of the distance, mm."""
+
+    point: jax.Array
+    length: jax.Array
+    sd: jax.Array
+
+    def log_share(self, end: jax.Array) -> jax.Array:
+        """`()`: about the log likelihood of a joint at `end` `(3,)` by the one after it, which may
+        be seen wrongly."""
+        off = (jnp.linalg.norm(end - self.point) - self.length) / self.sd
+        return jnp.log(SEEN_WRONGLY + (1 - SEEN_WRONGLY) * jnp.exp(-(off**2) / 2))
+
+
+def with_next(aim: SpatialAim, after: SpatialAim, length: jax.Array) -> tuple[SpatialAim, Reach]:
+    """An aim at a joint that also knows how far the next one in the chain is, by the distance's
+    slope; and that distance by itself. The less is known of either place, the less this says."""
+    apart = aim.point - after.point
+    along = apart / (jnp.linalg.norm(apart) + 1e-9)
+    bend = jnp.sum(1 / aim.precision) / (2 * length)
+    variance = jnp.sum((after.axes.T @ along) ** 2 / after.precision)
+    sharp = 1 / (variance + bend**2)
+    normal = (aim.axes * aim.precision[None]) @ aim.axes.T
+    normal = normal + sharp * jnp.outer(along, along)
+    step = sharp * (length - jnp.linalg.norm(apart)) * along
+    precision, axes = jnp.linalg.eigh(normal)
+    found = SpatialAim(aim.point + jnp.linalg.solve(normal, step), axes, precision)
+    return found, Reach(after.point, length, jnp.sqrt(variance) + LEAST_REACH * length)
 
 
 class AimModes(NamedTuple):

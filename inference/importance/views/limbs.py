@@ -15,11 +15,13 @@ from jax.typing import ArrayLike
 
 from poseterior.inference.importance.views.aims import (
     AimModes,
+    Reach,
     SpatialAim,
     aim_of,
     draw_direction,
     log_aimed,
     modes_of,
+    with_next,
 )
 from poseterior.inference.importance.views.sights import Sights, ViewJudge, log_exchange, sights_of
 from poseterior.probmodel.anatomy.limits import cell_of
@@ -265,6 +267,7 @@ def _limbs(
     every = _targets(judge, sights, body, jax.random.uniform(view_key, (sights.counts.shape[1],)))
     upper = [_upper_bone(model, body, every, row) for row in range(len(UPPER_BONES))]
     chained = jax.tree.map(lambda *rows: jnp.stack(rows), *upper[1:])
+    lengths = body.size * length[jnp.array(CHAIN_LENGTHS)]
     target = jax.tree.map(lambda leaf: leaf[jnp.array(WRISTS)], every)
     reference = jnp.tile(jnp.asarray(model.limits.reference), (NUM_LOWER, 1))
     below = LowerReach(model.hinges, reference, jnp.asarray(model.limits.fallback), target)
@@ -276,16 +279,17 @@ def _limbs(
         below: LowerReach,
         lengths: jax.Array,
     ) -> Proposals:
+        bone, reach = _looking_ahead(bone, below.target, lengths[1])
         local, end, of_upper = jax.vmap(_upper, (0, None, None, None, None))(
             uniforms[:, 0], judge, body, bone, lengths[0]
         )
-        level, rows = _resampled(of_upper, offset)
+        ahead = jax.vmap(reach.log_share)(end)
+        level, rows = _resampled(of_upper, ahead, offset)
         elbows = local[rows], end[rows]
         lower, of_lower = jax.vmap(_lower, (0, None, None, None, 0, None))(
             uniforms[:, 1], judge, bone, below, elbows, (lengths[1], body.size)
         )
-        weight = jnp.where(jnp.isneginf(level), -jnp.inf, level + of_lower)
-        return Proposals(weight, elbows[0], lower)
+        return Proposals(level + of_lower, elbows[0], lower)
 
     def head(uniforms: jax.Array) -> Proposals:
         local, _, weight = _upper(uniforms, judge, body, upper[0], body.size * length[HEAD_LENGTH])
@@ -293,10 +297,22 @@ def _limbs(
 
     numbers = _spread(chain_key, NUM_LOWER, 2)
     offsets = jax.random.uniform(order_key, (NUM_LOWER,))
-    lengths = body.size * length[jnp.array(CHAIN_LENGTHS)]
     chains = jax.vmap(chain)(numbers, offsets, chained, below, lengths)
     heads = jax.vmap(head)(_spread(head_key, 1, 1)[0, :, 0])
     return jax.tree.map(lambda one, many: jnp.concatenate([one[None], many]), heads, chains)
+
+
+def _looking_ahead(
+    bone: UpperReach, after: SeenJoint, length: jax.Array
+) -> tuple[UpperReach, Reach]:
+    """An upper bone that all views aim so that the one below it, some mm long, reaches its own
+    joint, and what that says of where it ends."""
+    every, next_of_all = (
+        jax.tree.map(lambda leaf: leaf[0], joint.aims) for joint in (bone.target, after)
+    )
+    aim, reach = with_next(every, next_of_all, length)
+    aims = jax.tree.map(lambda rows, one: rows.at[0].set(one), bone.target.aims, aim)
+    return bone._replace(target=bone.target._replace(aims=aims)), reach
 
 
 def _spread(key: jax.Array, limbs: int, bones: int) -> jax.Array:
@@ -308,16 +324,19 @@ def _spread(key: jax.Array, limbs: int, bones: int) -> jax.Array:
     return (jnp.asarray(steps)[None, :, None] + moved) % 1.0
 
 
-def _resampled(log_weight: jax.Array, offset: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Log of the mean weight `()`, and as many rows, each as often as its share of the weights
-    `(P,)` says, rounded by one `offset` for all (systematic): what comes of the rows, times the
-    mean, is without bias."""
-    level = jax.nn.logsumexp(log_weight)
-    share = jnp.exp(log_weight - jnp.where(jnp.isneginf(level), 0.0, level))
-    number = len(log_weight)
+def _resampled(
+    log_weight: jax.Array, ahead: jax.Array, offset: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """As many rows as there are weights `(P,)`, each as often as its share of weights times what
+    lies `ahead` of it says, rounded by one `offset` for all (systematic); and the logs of the
+    weights that they have then: what comes of the rows, times these, is without bias."""
+    wanted = log_weight + ahead
+    level = jax.nn.logsumexp(wanted)
+    nothing, number = jnp.isneginf(level), len(wanted)
+    share = jnp.exp(wanted - jnp.where(nothing, 0.0, level))
     points = (jnp.arange(number) + offset) / number
     rows = jnp.sum(jnp.cumsum(share)[None, :-1] < points[:, None], axis=1)
-    return level - jnp.log(number), rows
+    return jnp.where(nothing, -jnp.inf, level - jnp.log(number) - ahead[rows]), rows
 
 
 def _upper_bone(model: PoseModel, body: TorsoInWorld, every: SeenJoint, row: int) -> UpperReach:

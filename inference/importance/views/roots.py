@@ -6,12 +6,14 @@ root and lengths. The fit decides nothing but how many proposals are wasted: the
 and everything is weighed exactly.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import gammaln, logsumexp
 
 from poseterior.inference.resampling import effective
@@ -30,13 +32,17 @@ ODD_FIT = 2.5
 FREEDOM_OF_ROOTS = 20.0
 """Degrees of freedom of the proposals."""
 WIDER = 1.2
-"""How much wider than the fit's covariance they are."""
+"""How much wider than the covariance that is known they are."""
 NARROWER = 0.8
-"""The covariance of refined proposals over that of the first ones."""
+"""The covariance of a posterior over that of its fit, as a rule: of what refined proposals are if
+few bodies refine them."""
+RIGID = 5.0
+"""How many effective bodies a coordinate it takes until these say as much of the covariance."""
 KEPT_OF_FIT = 0.1
 """What proposals keep of the first ones when a pilot run has refined them."""
-OTHER_TORSOS = 0.2
-"""What refined proposals give to all torsos evenly."""
+EVEN_TORSOS = 1.0
+"""How many effective bodies a torso it takes until these say as much of the torsos' shares as that
+all are alike: one that was hardly tried is not known to be a bad one."""
 OF_PRIOR_EXCHANGES = 0.1
 """What proposals of exchanges keep of the prior."""
 FEWEST_JOINTS = 3
@@ -69,74 +75,107 @@ class WorldBodies(NamedTuple):
         return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], self)
 
 
-@dataclass(frozen=True, eq=False)
-class BodyProposal:
-    """A mixture of Student's t: K for each of J torsos.
+class BodySteps(NamedTuple):
+    """Bodies as steps away from the fit of their torso.
 
     Attributes
     ----------
+    torso : `(n,)`
+        Which of the dictionary.
+    step : `(n, D)`
+        Standard deviations of the fit, by the Cholesky factor of its covariance.
+    exchange : `(n, C)`
+        The views' exchanges.
+    """
+
+    torso: np.ndarray
+    step: np.ndarray
+    exchange: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class BodyProposal:
+    """A mixture of K Student's t in the steps from J torsos' fits.
+
+    Attributes
+    ----------
+    fit
+        Leaves start with `(J,)`.
+    factor : `(J, D, D)`
+        Lower Cholesky factors of the fits' covariances.
     share : `(K, J)`
         With sum one.
-    centre
-        Leaves start with `(K, J)`.
-    factor : `(K, J, D, D)`
-        Lower Cholesky factors of their scale matrices.
+    centre, spread : `(K, D)`, `(K, D, D)`
+        Of the steps: where each is, and the lower Cholesky factors of their scale matrices.
     exchange : `(C, 6)`
         By which the views' exchanges are proposed, each for itself.
     """
 
-    share: np.ndarray
-    centre: WorldBodies
+    fit: WorldBodies
     factor: np.ndarray
+    share: np.ndarray
+    centre: np.ndarray
+    spread: np.ndarray
     exchange: np.ndarray
 
-    def draw(self, rng: np.random.Generator, number: int) -> tuple[WorldBodies, np.ndarray]:
-        """So many bodies, and exchanges `(number, C)`."""
+    def draw(self, rng: np.random.Generator, number: int) -> BodySteps:
+        """So many bodies."""
         flat = np.searchsorted(np.cumsum(self.share), rng.random(number))
         kind, torso = np.divmod(np.minimum(flat, self.share.size - 1), self.share.shape[1])
-        normal = rng.standard_normal((number, self.factor.shape[-1]))
+        normal = rng.standard_normal((number, self.centre.shape[1]))
         stretch = np.sqrt(FREEDOM_OF_ROOTS / rng.chisquare(FREEDOM_OF_ROOTS, number))
-        step = np.einsum("nab,nb->na", self.factor[kind, torso], normal) * stretch[:, None]
-        bodies = _moved(self.centre.take((kind, torso)), step)
+        away = np.einsum("nab,nb->na", self.spread[kind], normal) * stretch[:, None]
         places = rng.random((number, len(self.exchange), 1))
-        return bodies, np.sum(np.cumsum(self.exchange, axis=1)[:, :-1] < places, axis=-1)
+        exchange = np.sum(np.cumsum(self.exchange, axis=1)[:, :-1] < places, axis=-1)
+        return BodySteps(torso, self.centre[kind] + away, exchange)
 
-    def log_density(self, bodies: WorldBodies, exchange: np.ndarray) -> np.ndarray:
+    def bodies(self, steps: BodySteps) -> WorldBodies:
+        """Where steps lead."""
+        return _moved(self.fit.take(steps.torso), self._plain(steps))
+
+    def log_density(self, steps: BodySteps) -> np.ndarray:
         """`(n,)`: of bodies by the base measure of roots × lengths, and of exchanges."""
-        torso = bodies.point.torso
-        parts = []
-        for kind in range(len(self.share)):
-            step = _step(self.centre.take((kind, torso)), bodies)
-            factor = self.factor[kind, torso]
-            normal = np.linalg.solve(factor, step[..., None])[..., 0]
-            level = np.log(self.share[kind, torso])
-            level -= np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-            level += _log_student(normal)
-            parts.append(level - log_haar(step[:, TURN]))
-        views = np.arange(len(self.exchange))
-        return logsumexp(parts, axis=0) + np.log(self.exchange[views, exchange]).sum(axis=1)
+        turn = self._plain(steps)[:, TURN]
+        stretch = np.log(np.diagonal(self.factor, axis1=1, axis2=2)).sum(axis=1)
+        return self.log_steps(steps) - stretch[steps.torso] - log_haar(turn)
 
-    def refined(
-        self, bodies: WorldBodies, exchange: np.ndarray, share: np.ndarray
-    ) -> "BodyProposal":
-        """Proposals around a pilot run's bodies `(n, ...)`, which have these shares `(n,)` of the
-        posterior, beside the first ones. They are hardly narrower, whatever the torso: so few
-        bodies say where the posterior is, and hardly how it scatters in so many coordinates."""
-        first, torso = self.centre.take(0), bodies.point.torso
-        mean = share @ _step(first.take(torso), bodies)
-        trust = effective(share) / (effective(share) + len(mean))
+    def log_steps(self, steps: BodySteps) -> np.ndarray:
+        """`(n,)`: log density of torsos, steps and exchanges."""
+        parts = []
+        for share, centre, spread in zip(self.share, self.centre, self.spread, strict=True):
+            normal = solve_triangular(spread, (steps.step - centre).T, lower=True).T
+            level = np.log(share[steps.torso]) - np.log(np.diagonal(spread)).sum()
+            parts.append(level + _log_student(normal))
+        views = np.arange(len(self.exchange))
+        of_exchanges = np.log(self.exchange[views, steps.exchange]).sum(axis=1)
+        return logsumexp(parts, axis=0) + of_exchanges
+
+    def _plain(self, steps: BodySteps) -> np.ndarray:
+        """`(n, D)`: steps in radians, logs, mm, body units and pixels."""
+        return np.einsum("nab,nb->na", self.factor[steps.torso], steps.step)
+
+    def refined(self, steps: BodySteps, share: np.ndarray) -> "BodyProposal":
+        """Proposals as these bodies scatter, which have such shares `(n,)` of the posterior, beside
+        the first ones: fewer bodies move them less, and turn and stretch them still less."""
+        worth, number = effective(share), self.centre.shape[1]
+        mean = share @ steps.step
+        off = steps.step - mean
+        scatter = (off.T * share) @ off / (1 - np.sum(share**2))
+        trust, rigid = worth / (worth + number), worth / (worth + RIGID * number)
+        scatter = WIDER * (rigid * scatter + (1 - rigid) * NARROWER * np.eye(number))
         even = self.share[0] / self.share[0].sum()
-        own = np.bincount(torso, share, minlength=len(even))
-        own = (1 - OTHER_TORSOS) * own + OTHER_TORSOS * even
+        own = np.bincount(steps.torso, share, minlength=len(even))
+        known = worth / (worth + EVEN_TORSOS * len(even))
+        own = known * own + (1 - known) * even
         seen = np.stack(
-            [np.bincount(column, share, minlength=NUM_EXCHANGES) for column in exchange.T]
+            [np.bincount(column, share, minlength=NUM_EXCHANGES) for column in steps.exchange.T]
         )
-        centre = _moved(first, np.tile(trust * mean, (len(even), 1)))
-        return BodyProposal(
-            np.stack([KEPT_OF_FIT * even, (1 - KEPT_OF_FIT) * own]),
-            jax.tree.map(lambda *both: np.stack(both), first, centre),
-            np.stack([self.factor[0], np.sqrt(NARROWER) * self.factor[0]]),
-            (1 - KEPT_OF_FIT) * seen + KEPT_OF_FIT * self.exchange,
+        return dataclasses.replace(
+            self,
+            share=np.stack([KEPT_OF_FIT * even, (1 - KEPT_OF_FIT) * own]),
+            centre=np.stack([self.centre[0], trust * mean]),
+            spread=np.stack([self.spread[0], np.linalg.cholesky(scatter)]),
+            exchange=(1 - KEPT_OF_FIT) * seen + KEPT_OF_FIT * self.exchange,
         )
 
 
@@ -166,13 +205,6 @@ def rotations_of(turn: np.ndarray) -> np.ndarray:
     return np.eye(3) + first * cross + second * cross @ cross
 
 
-def turns_of(rotation: np.ndarray) -> np.ndarray:
-    """`(n, 3)`: the vectors of rotations `(n, 3, 3)`, none longer than π."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(rotation).as_rotvec()
-
-
 def _crossed(vector: np.ndarray) -> np.ndarray:
     """`(..., 3, 3)`: what makes of a vector its cross product with `vector`."""
     x, y, z = np.moveaxis(vector, -1, 0)
@@ -193,15 +225,6 @@ def _moved(start: WorldBodies, step: np.ndarray) -> WorldBodies:
     return WorldBodies(point, start.length + step[:, LENGTHS_STEP])
 
 
-def _step(start: WorldBodies, end: WorldBodies) -> np.ndarray:
-    """`(n, D)`: the steps from bodies to others, with the shortest turns."""
-    turn = turns_of(end.point.rotation @ np.swapaxes(start.point.rotation, -1, -2))
-    size = np.asarray(end.point.log_size - start.point.log_size)[:, None]
-    place = end.point.place - start.point.place
-    shift = (end.point.pointing - start.point.pointing).reshape(len(turn), -1)
-    return np.concatenate([turn, size, place, end.length - start.length, shift], axis=1)
-
-
 def fitted(posterior: InstantPosterior) -> BodyProposal:
     """The first proposal. Raises `BadInput` where two cameras do not see enough of the torso, or it
     is behind one of them."""
@@ -209,13 +232,14 @@ def fitted(posterior: InstantPosterior) -> BodyProposal:
     _require_torso(posterior, points)
     torsos = np.asarray(posterior.model.torsos)
     start = _aligned(torsos, points, posterior.root_prior.pointing.shape)
-    centre, factor = _Fit(posterior, torsos).run(start, points)
+    fit, factor = _Fit(posterior, torsos).run(start, points)
     # Evenly: what chooses among torsos are the limits, of which a fit knows nothing. By the fits'
     # own evidence, even tempered, fewer roots were effective.
     share = np.full(len(torsos), 1 / len(torsos))
-    one = jax.tree.map(lambda leaf: np.asarray(leaf)[None], centre)
-    factor = np.sqrt(WIDER) * factor[None]
-    return BodyProposal(share[None], one, factor, _exchanges(posterior, points))
+    number = factor.shape[-1]
+    spread = np.sqrt(WIDER) * np.eye(number)[None]
+    middle, exchanges = np.zeros((1, number)), _exchanges(posterior, points)
+    return BodyProposal(fit, factor, share[None], middle, spread, exchanges)
 
 
 def _triangulated(posterior: InstantPosterior, views: Sequence[int]) -> np.ndarray:

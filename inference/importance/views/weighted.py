@@ -9,7 +9,7 @@ its prior: they are the same law (docs/model.md § 11).
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,7 +34,12 @@ from poseterior.inference.importance.views.limbs import (
     Proposals,
     weigh_bodies,
 )
-from poseterior.inference.importance.views.roots import BodyProposal, WorldBodies, fitted
+from poseterior.inference.importance.views.roots import (
+    BodyProposal,
+    BodySteps,
+    WorldBodies,
+    fitted,
+)
 from poseterior.inference.importance.weighted import (
     FEWEST_EFFECTIVE,
     RootWeights,
@@ -42,7 +47,7 @@ from poseterior.inference.importance.weighted import (
     blocks_of,
     require_number,
 )
-from poseterior.inference.resampling import tempered, times
+from poseterior.inference.resampling import effective, shares, tempered, times
 from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.instant import InstantPosterior
 from poseterior.probmodel.pose import Pose
@@ -52,12 +57,15 @@ from poseterior.probmodel.roots import RootPoint, WorldPoint
 from poseterior.probmodel.sessions import Pinhole
 from poseterior.probmodel.skeleton import UPPER_BONES
 
-NUM_BODIES = 1600
+NUM_BODIES = 800
 """Roots, where nothing else is said."""
-PILOT_BODIES = (200,) * 6
-"""Roots of each pilot run, by which proposals are refined."""
-PILOT_EFFECTIVE = 50
-"""Effective roots by which they are: weights of fewer are tempered until they are as many."""
+PILOT_RUNS, PILOT_BODIES = 12, 100
+"""Pilot runs at most, by which proposals are refined, and the roots of each."""
+PILOT_EFFECTIVE, PILOT_SHARE = 40, 1 / 6
+"""Effective roots by which they are, and of all roots the share: weights of fewer are tempered
+until they are as many."""
+PILOT_ENOUGH = 100
+"""Effective roots after which there is no further run."""
 BODIES_AT_ONCE = 50
 """Roots that a program takes at a time, which bounds the memory."""
 LIMBS_OF_BODY = PER_LIMB * len(UPPER_BONES)
@@ -72,15 +80,15 @@ class WeighedRoots(RootWeights):
     ----------
     posterior, log_weight, proposals
         As of `RootWeights`.
-    bodies, exchange
-        Roots with lengths, and the exchanges `(n, C)`.
+    bodies, steps
+        Roots with lengths; and the proposal's steps to them, with the views' exchanges.
     limbs
         Proposals `(n, 5, P)` for the limbs, the head first.
     """
 
     posterior: InstantPosterior
     bodies: WorldBodies
-    exchange: np.ndarray
+    steps: BodySteps
     log_weight: np.ndarray
     limbs: Proposals
     proposals: int
@@ -100,7 +108,7 @@ class WeighedRoots(RootWeights):
         """As of `RootWeights`; limbs come as often as their weights say, faults last."""
         counts = times(self.share, number if self.effective else 0, rng.uniform())
         chosen = rng.permutation(np.repeat(np.arange(len(counts)), counts))
-        bodies, exchange = self.bodies.take(chosen), self.exchange[chosen]
+        bodies, exchange = self.bodies.take(chosen), self.steps.exchange[chosen]
         log_weight = self.limbs.log_weight[chosen]
         taken = np.argmax(log_weight + rng.gumbel(size=log_weight.shape), axis=-1)
         place = chosen[:, None], np.arange(log_weight.shape[1]), taken
@@ -118,14 +126,16 @@ def weigh(
 ) -> WeighedRoots:
     """So many bodies of a proposal with their weights."""
     draw_key, limb_key = jax.random.split(key)
-    bodies, exchange = proposal.draw(np.random.default_rng(words_of(draw_key)), number)
+    steps = proposal.draw(np.random.default_rng(words_of(draw_key)), number)
+    bodies = proposal.bodies(steps)
     words = np.asarray(jax.random.key_data(limb_key))
     given = posterior.model, posterior.detected, posterior.faults, posterior.root_prior, words
 
     def some(start: int) -> Any:
         rows = np.minimum(np.arange(start, start + BODIES_AT_ONCE), number - 1)
         own = bodies.take(rows)
-        found = weigh_bodies(*given, np.int64(start), *own.point, own.length, exchange[rows])
+        exchange = steps.exchange[rows]
+        found = weigh_bodies(*given, np.int64(start), *own.point, own.length, exchange)
         return jax.tree.map(lambda leaf: np.asarray(leaf)[: number - start], found)
 
     parts = []
@@ -136,29 +146,37 @@ def weigh(
     log_torso, columns = jax.tree.map(lambda *rows: np.concatenate(rows), *parts)
     limbs = Proposals(*columns)
     of_limbs = logsumexp(limbs.log_weight, axis=-1) - math.log(PER_LIMB)
-    log_weight = log_torso + of_limbs.sum(axis=1) - proposal.log_density(bodies, exchange)
+    log_weight = log_torso + of_limbs.sum(axis=1) - proposal.log_density(steps)
     # Beyond the ends of lengths, and of half turns, there is nothing.
     log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight)
-    return WeighedRoots(posterior, bodies, exchange, log_weight, limbs, number * LIMBS_OF_BODY)
+    return WeighedRoots(posterior, bodies, steps, log_weight, limbs, number * LIMBS_OF_BODY)
+
+
+def pooled(pilots: Sequence[tuple[BodyProposal, WeighedRoots]]) -> tuple[BodySteps, np.ndarray]:
+    """The bodies of pilot runs of one size, and the logs of their weights as draws of all their
+    proposals together (Cornuet et al. 2012)."""
+    steps = BodySteps(*map(np.concatenate, zip(*(run.steps for _, run in pilots), strict=True)))
+    target = [one.log_steps(run.steps) + run.log_weight for one, run in pilots]
+    mixed = logsumexp([one.log_steps(steps) for one, _ in pilots], axis=0)
+    return steps, np.concatenate(target) - mixed + math.log(len(pilots))
 
 
 def weigh_refined(
     posterior: InstantPosterior, key: jax.Array, number: int, progress: Progress | None = None
 ) -> WeighedRoots:
     """So many bodies of a proposal that pilot runs have refined. Raises `BadInput` as `fitted`."""
-    first = proposal = fitted(posterior)
-    pilots: list[WeighedRoots] = []
-    for run, bodies in enumerate(PILOT_BODIES):
-        pilots.append(weigh(posterior, proposal, jax.random.fold_in(key, run), bodies))
-        log_weight = np.concatenate([pilot.log_weight for pilot in pilots])
-        share = tempered(log_weight, PILOT_EFFECTIVE)
+    proposal, pilots = fitted(posterior), []
+    for run in range(PILOT_RUNS):
+        pilot = weigh(posterior, proposal, jax.random.fold_in(key, run), PILOT_BODIES)
+        pilots.append((proposal, pilot))
+        steps, log_weight = pooled(pilots)
+        share = tempered(log_weight, max(PILOT_EFFECTIVE, PILOT_SHARE * len(log_weight)))
         if share.any():
-            drawn = [(pilot.bodies, pilot.exchange) for pilot in pilots]
-            whole = jax.tree.map(lambda *rows: np.concatenate(rows), *drawn)
-            proposal = first.refined(whole[0], whole[1], share)
-    last = jax.random.fold_in(key, len(PILOT_BODIES))
-    found = weigh(posterior, proposal, last, number, progress)
-    spent = sum(pilot.proposals for pilot in pilots)
+            proposal = proposal.refined(steps, share)
+        if effective(shares(log_weight)) > PILOT_ENOUGH:
+            break
+    found = weigh(posterior, proposal, jax.random.fold_in(key, PILOT_RUNS), number, progress)
+    spent = sum(pilot.proposals for _, pilot in pilots)
     return dataclasses.replace(found, proposals=found.proposals + spent)
 
 
@@ -192,7 +210,7 @@ class WeightedViews(Sampler):
         if len(posterior.detection.views) == 1:
             yield from _of_one_view(posterior, self, key, number, block, progress)
             return
-        afforded = self.max_proposals // LIMBS_OF_BODY - sum(PILOT_BODIES)
+        afforded = self.max_proposals // LIMBS_OF_BODY - PILOT_RUNS * PILOT_BODIES
         roots = weigh_refined(
             posterior,
             jax.random.fold_in(key, 0),

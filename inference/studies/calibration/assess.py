@@ -7,13 +7,6 @@ import jax
 import numpy as np
 
 from poseterior.inference.draws import COMPLETE
-from poseterior.inference.studies.calibration.levels import (
-    distance_level,
-    energy_level,
-    median_levels,
-    rank_level,
-    stand_in_levels,
-)
 from poseterior.inference.studies.calibration.quantities import (
     ENERGY_BALL,
     MOVING,
@@ -28,6 +21,13 @@ from poseterior.inference.studies.calibration.quantities import (
     of_rooted,
 )
 from poseterior.inference.studies.calibration.simulations import Instance
+from poseterior.inference.studies.levels import (
+    distance_level,
+    energy_level,
+    median_levels,
+    rank_level,
+    stand_in_levels,
+)
 from poseterior.inference.studies.measured import MeasureStandings, no_standings, standings_of
 from poseterior.probmodel.anatomy.limits import AnatomicalLimits
 from poseterior.probmodel.datasets.cases import strays

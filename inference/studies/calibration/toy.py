@@ -3,8 +3,8 @@ numbers, seen with Gaussian noise."""
 
 import numpy as np
 
-from poseterior.inference.studies.calibration.levels import distance_level, energy_level, rank_level
 from poseterior.inference.studies.calibration.uniformity import uniformity
+from poseterior.inference.studies.levels import distance_level, energy_level, rank_level
 
 TESTS = ("ranks", "highest density", "energy balls", "TARP")
 TOY_SEED = 7

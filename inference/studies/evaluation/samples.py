@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from poseterior.inference.studies.calibration.assess import ECE_STAND_INS, FEWEST_DRAWS
-from poseterior.inference.studies.calibration.levels import (
+from poseterior.inference.studies.errors import aligned_errors
+from poseterior.inference.studies.intervals import TAIL
+from poseterior.inference.studies.levels import (
     median_levels,
     rank_level,
     stand_in_levels,
 )
-from poseterior.inference.studies.errors import aligned_errors
-from poseterior.inference.studies.intervals import TAIL
 from poseterior.inference.studies.measured import MeasureStandings, standings_of
 from poseterior.probmodel.datasets import DataSet
 from poseterior.probmodel.datasets.cases import SMALLEST, TALLEST, body_height

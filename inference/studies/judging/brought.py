@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from poseterior.inference.resampling import counting, logs_of
-from poseterior.inference.studies.calibration.levels import effective_number
 from poseterior.inference.studies.judging.where import Columns, checked, share_held
+from poseterior.inference.studies.levels import effective_number
 from poseterior.probmodel.failures import BadInput
 
 FEWEST_INSTANCES = 20

@@ -11,13 +11,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from poseterior.inference.studies.calibration.levels import (
-    cut_open,
-    distance_level,
-    effective_number,
-    energy_level,
-    rank_level,
-)
 from poseterior.inference.studies.calibration.quantities import (
     CLASSIFIER,
     ENERGY_BALL,
@@ -43,6 +36,13 @@ from poseterior.inference.studies.judging.where import (
     curves,
     locally,
     share_held,
+)
+from poseterior.inference.studies.levels import (
+    cut_open,
+    distance_level,
+    effective_number,
+    energy_level,
+    rank_level,
 )
 from poseterior.probmodel.failures import BadInput
 

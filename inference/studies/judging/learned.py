@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from poseterior.inference.studies.calibration.levels import effective_number, rank_level
 from poseterior.inference.studies.judging.brought import One
 from poseterior.inference.studies.judging.where import Columns
+from poseterior.inference.studies.levels import effective_number, rank_level
 
 FEWEST_TO_LEARN_FROM = 50
 TAUGHT_DRAWS = 8

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from poseterior.inference.studies.calibration.levels import effective_number
 from poseterior.inference.studies.judging.where import by_value
+from poseterior.inference.studies.levels import effective_number
 from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import replacing

@@ -337,14 +337,14 @@ def test_looking_ahead_leaves_the_evidence_of_a_chain_as_it_is() -> None:
     wanted = np.mean(np.exp(-((grid - 1) ** 2)) * np.exp(-np.abs(grid))) * 8
     rng = np.random.default_rng(0)
     reach = Reach(np.array([3.0, 0.0, 0.0]), np.array(2.0), np.array(0.5))
-    right, wrong = [], []
-    for _ in range(400):
-        elbow = rng.uniform(-4, 4, PER_LIMB)
-        ahead = jax.vmap(reach.log_share)(np.stack([elbow, 0 * elbow, 0 * elbow], axis=1))
-        level, rows = _resampled(-((elbow - 1) ** 2), ahead, rng.random())
-        after = -np.abs(elbow[rows])
-        right.append(8 * np.mean(np.exp(level + after)))
-        wrong.append(8 * np.mean(np.exp(level + ahead[rows] + after)))
+    elbow, offset = rng.uniform(-4, 4, (400, PER_LIMB)), rng.random(400)
+    place_ = np.stack([elbow, 0 * elbow, 0 * elbow], axis=-1)
+    ahead = jax.vmap(jax.vmap(reach.log_share))(place_)
+    level, rows = map(np.asarray, jax.vmap(_resampled)(-((elbow - 1) ** 2), ahead, offset))
+    after = -np.abs(np.take_along_axis(elbow, rows, axis=1))
+    right = 8 * np.mean(np.exp(level + after), axis=1)
+    kept = np.take_along_axis(np.asarray(ahead), rows, axis=1)
+    wrong = 8 * np.mean(np.exp(level + kept + after), axis=1)
     error = np.std(right) / math.sqrt(len(right))
     assert abs(np.mean(right) - wanted) < 4 * error < 0.1 * wanted
     assert abs(np.mean(wrong) - wanted) > 4 * error

@@ -132,12 +132,14 @@ class HypothesesSettings:
         return None if self.person.is_session else self.rooting.root
 
     @property
-    def instant(self) -> "Instant":
-        """What calibrated cameras saw. Raises `BadInput` where they cannot be read, and where there
-        is no such frame or camera."""
+    def session(self) -> "Session":
+        """What calibrated cameras saw. Raises `BadInput` where it cannot be read."""
         from poseterior.probmodel.sessions import read_session
 
-        session = read_session(self.person.file, layout=self.person.detected.layout)
+        return read_session(self.person.file, layout=self.person.detected.layout)
+
+    def instant(self, session: "Session") -> "Instant":
+        """One frame of it. Raises `BadInput` where there is no such frame or camera."""
         try:
             chosen = [int(one) - 1 for one in self.cameras.split(",")] if self.cameras else None
         except ValueError:

@@ -8,6 +8,7 @@ from poseterior.inference.draws import COMPLETE
 from poseterior.inference.hypothesis import Hypothesis, hypotheses
 from poseterior.inference.instants import sample_instant
 from poseterior.probmodel.failures import OutOfBudget
+from poseterior.probmodel.sessions.timing import lags_of
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.views import views_figure
@@ -22,8 +23,11 @@ def run(settings: HypothesesSettings, screen: Screen) -> None:
 
     sampling = settings.sampling
     with console.progress("the session", screen.quiet):
-        instant = settings.instant
+        session = settings.session
+        instant, lags = settings.instant(session), lags_of(session)
         model = settings.prior.model(rooted=True)
+    for sentence in lags.said(session.labels) if lags else ():
+        console.warn(sentence)
     out = console.output_folder(settings.out)
     with console.progress("bodies and their limbs", screen.quiet) as step:
         result = sample_instant(

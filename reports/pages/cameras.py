@@ -26,6 +26,7 @@ from poseterior.probmodel.instant import CameraView, Instant
 from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.sessions.session import HIPS, joints_seen
+from poseterior.probmodel.sessions.timing import lags_of
 from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
@@ -54,6 +55,8 @@ WRIST = JOINT_INDEX["right_wrist"]
 UNTOUCHED, EXCHANGED_LEGS = "nothing", "legs exchanged"
 MOVED = {"a wrist moved": 0.5, "a wrist moved far": 1.0}
 """Body units by which a wrist's keypoint is moved."""
+PLANTED_LAGS = 5, -5
+"""Frames by which one camera is behind the others."""
 PLANTED = UNTOUCHED, *MOVED, EXCHANGED_LEGS
 
 
@@ -284,6 +287,39 @@ def fault_table(found: dict[str, list[Any]]) -> Sheet:
     return sheet_of([Column(head[0], left=True), *map(Column, head[1:])], rows)
 
 
+def out_of_step(session: Session, camera: int, frames: int) -> Session:
+    """A session whose one camera shows what the others showed so many frames before."""
+    ends = abs(frames)
+    kept = range(ends, len(session) - ends)
+    people = tuple(
+        tuple(view[row - (frames if number == camera else 0)] for row in kept)
+        for number, view in enumerate(session.people)
+    )
+    numbers = tuple(session.numbers[row] for row in kept)
+    return dataclasses.replace(session, numbers=numbers, people=people)
+
+
+def lag_table(session: Session) -> Sheet:
+    """What is found of cameras that are out of step, and where none is."""
+    cases = [("none", session)] + [
+        (f"{label}, {abs(frames)} {'behind' if frames > 0 else 'ahead'}", late)
+        for camera, label in enumerate(session.labels)
+        for frames in PLANTED_LAGS
+        for late in [out_of_step(session, camera, frames)]
+    ]
+    rows = []
+    for name, case in cases:
+        lags = lags_of(case)
+        assert lags is not None
+        cells = []
+        for found, error, sure in zip(lags.frames, lags.error, lags.sure, strict=True):
+            cell = f"{found:+.1f} ± {2 * error:.1f}".replace("-", "−")
+            cells.append(f"**{cell}**" if sure else cell)
+        rows.append([name, *cells])
+    head = [Column("planted", left=True), *map(Column, session.labels)]
+    return sheet_of(head, rows)
+
+
 def price_of_an_outlier(given: list[Beliefs]) -> dict[str, str]:
     """How many nats it costs to call a right wrist's keypoint an outlier, and how many standard
     deviations a body unit is there."""
@@ -415,6 +451,7 @@ def main(data: Data, work: Work) -> Page:
         "faults": fault_table(faults),
         "faulty": FAULTY_FRAMES,
         "moved": " and ".join(f"{far:g}" for far in MOVED.values()),
+        "lags": lag_table(seen.session),
         **price_of_an_outlier(given),
     }
     return Page("cameras", values, {"cameras": coverage_figure(sets[2] | sets[3])})

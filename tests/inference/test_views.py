@@ -410,21 +410,21 @@ def only(instant: Instant, joints: set[int]) -> Instant:
 
 @pytest.mark.sweep
 @pytest.mark.parametrize(
-    ("joints", "pointing", "factor"),
-    [({3}, 0.0, 0.4), ({3, 4}, 0.0, 0.4), ({10, 11}, 0.0, 0.8), ({3, 4}, 2.0, 0.4)],
-    ids=["elbow", "arm", "leg", "arm, cameras that point beside"],
+    ("joints", "pointing"),
+    [({3}, 0.0), ({3, 4}, 0.0), ({10}, 0.0), ({3, 4}, 2.0)],
+    ids=["elbow", "arm", "knee", "arm, cameras that point beside"],
 )
 def test_the_evidence_is_that_of_another_route(
-    model: PoseModel, joints: set[int], pointing: float, factor: float
+    model: PoseModel, joints: set[int], pointing: float
 ) -> None:
     """Of the torso and one limb; both estimates are unbiased, and agree within four standard
-    errors (false alarms: 8 in 100,000). The control counts one view twice. A leg seldom falls where
-    it is seen, unless it may fall far from it."""
+    errors (false alarms: 8 in 100,000). The control counts one view twice. (Of a whole leg the
+    other route says too little: few of a million of the prior fall where this one is seen.)"""
     law = DetectorErrors(
-        Gaussian(), np.full(15, factor / 2), np.ones(15), np.zeros((15, 2)), definition=DEFINED
+        Gaussian(), np.full(15, 0.2), np.ones(15), np.zeros((15, 2)), definition=DEFINED
     )
     points, _, world = bodies(model, 1, seed=11)
-    simple = Likelihood(Gaussian(), factor=factor)
+    simple = Likelihood(Gaussian(), factor=0.4)
     likelihood = Likelihood.of(law) if pointing else simple
     instant = seen(straight(2), world[0], math.exp(points.log_size[0]), simple, seed=2)
     instant = dataclasses.replace(instant, pointing=pointing).judged_by(likelihood)

@@ -36,6 +36,7 @@ from poseterior.probmodel.layouts import (
 from poseterior.probmodel.sessions import Pinhole, Session, is_session, read_session
 from poseterior.probmodel.sessions.calibrations import read_cameras
 from poseterior.probmodel.sessions.session import HIPS, MOST_COMBINATIONS, _choices
+from poseterior.probmodel.sessions.timing import lags_of
 from poseterior.probmodel.sessions.triangulation import triangulate
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
 from tests.filmed import (
@@ -667,3 +668,53 @@ def test_real_cameras_meet_where_the_person_is(shared_data: Path):
     pixels = session.apart * session.scale[..., None]
     assert 5 < np.median(pixels) < 20
     assert 300 < session.unit < 380
+
+
+# --- cameras that are out of step
+
+
+def walking(late: int = 0, seed: int = 0, number: int = 4) -> Session:
+    """Joints that sway at 12 mm a frame or less for 120 frames, with errors of 8 mm that are new in
+    each; the second camera shows what the others showed so many frames before."""
+    rng = np.random.default_rng(seed)
+    joints = np.tile(moving(30, seed), (5, 1, 1))
+    errors = 8 * rng.standard_normal((number, len(joints), NUM_JOINTS, 2))
+    whole = filmed(joints, errors, cameras(number))
+    kept = range(15, 135)
+    shift = [late if row == 1 else 0 for row in range(number)]
+    people = [
+        tuple(view[frame - back] for frame in kept)
+        for view, back in zip(whole.people, shift, strict=True)
+    ]
+    return dataclasses.replace(whole, numbers=tuple(kept), people=tuple(people))
+
+
+@pytest.mark.parametrize(
+    "late", [3, *(pytest.param(late, marks=pytest.mark.slow) for late in (-5, 1))]
+)
+def test_a_camera_that_is_out_of_step_is_named(late: int) -> None:
+    lags = lags_of(walking(late))
+    assert lags is not None
+    np.testing.assert_array_equal(lags.sure, [False, True, False, False])
+    assert lags.frames[1] == pytest.approx(late, abs=0.15)
+    np.testing.assert_allclose(lags.frames[[0, 2, 3]], 0, atol=0.15)
+    [said] = lags.said(["a", "b", "c", "d"])
+    words = "behind the other" if late > 0 else "ahead of the other"
+    assert said.startswith(f"b is {abs(lags.frames[1]):.1f} frames {words} cameras")
+
+
+@pytest.mark.slow
+def test_cameras_in_step_are_not_accused() -> None:
+    """Of ten sessions none; and standard errors are as large as lags are, over them: their ratio's
+    root mean square is within 0.7 and 1.4 (forty lags; of independent ones nine in ten thousand
+    would be beyond)."""
+    found = [lags_of(walking(seed=seed)) for seed in range(10)]
+    ratios = np.array([one.frames / one.error for one in found if one])
+    assert not any(one.sure.any() for one in found if one)
+    assert len(ratios) == 10
+    assert 0.7 < np.sqrt(np.mean(ratios**2)) < 1.4
+
+
+def test_of_few_cameras_or_frames_nothing_is_said_of_their_step() -> None:
+    assert lags_of(walking(3, number=2)) is None
+    assert lags_of(walking(3).take(range(20))) is None

@@ -11,11 +11,11 @@ from poseterior.probmodel.sessions.session import Session, joints_seen
 
 FEWEST_CAMERAS, FEWEST_FRAMES = 3, 30
 """With which anything is said."""
-TOGETHER = 15
+HANG_TOGETHER = 15
 """Frames whose errors hang together."""
-ROUNDS = 12
+MOST_ROUNDS = 12
 """In which cameras are put into step, and asked again."""
-SURE = 5.0
+OUT_OF_STEP = 5.0
 """Standard errors from which a camera is out of step."""
 ANOTHERS = 0.1
 """Of the largest lag: what it may leave of itself in the other cameras'."""
@@ -35,7 +35,7 @@ class Lags(NamedTuple):
         """`(C,)`: whether a camera is out of step beyond doubt: by half a frame at least, and not
         for another's sake, which is far more so."""
         size = np.abs(self.frames)
-        return (size > SURE * self.error) & (size > max(0.5, ANOTHERS * size.max()))
+        return (size > OUT_OF_STEP * self.error) & (size > max(0.5, ANOTHERS * size.max()))
 
     def said(self, labels: Sequence[str]) -> list[str]:
         """A sentence for each camera that is out of step."""
@@ -61,12 +61,12 @@ def lags_of(session: Session) -> Lags | None:
         return None
     times = np.array(session.numbers, float)
     lag = np.zeros(number)
-    for _ in range(ROUNDS):
+    for _ in range(MOST_ROUNDS):
         views = [_at(times, view, own) for view, own in zip(session.keypoints, lag, strict=True)]
         keypoints = np.stack(views)
         score = np.where(np.isfinite(keypoints).all(axis=-1), session.score, 0.0)
         behind, error = _behind(session.straight, times, keypoints, score)
-        if not (np.abs(behind) > SURE * error).any():
+        if not (np.abs(behind) > OUT_OF_STEP * error).any():
             break
         # One at a time: what one leaves of itself in the others goes with it.
         worst = np.argmax(np.abs(behind))
@@ -104,7 +104,7 @@ def _behind(
         square = (weight * speed**2).sum(axis=(1, 2))
         slope = product.sum() / square.sum() if square.any() else 0.0
         left = product - slope * square
-        stretches = np.add.reduceat(left, np.arange(0, len(left), TOGETHER))
+        stretches = np.add.reduceat(left, np.arange(0, len(left), HANG_TOGETHER))
         error = np.sqrt(np.sum(stretches**2)) / square.sum() if square.any() else np.inf
         found.append((-slope, error))
     behind, errors = np.transpose(found)

@@ -163,10 +163,10 @@ class Draws:
 def place(
     posterior: Posterior, points: Any, poses: Pose, *, size: int = CHUNK
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Joints `(n, 15, 3)` in camera axes and keypoints `(n, 15, 2)` of draws `(n, ...)`, `size` of
-    them at a time."""
+    """Joints `(n, 15, 3)` in camera axes and keypoints `(n, 15, 2)`, or `(n, C, 15, 2)` of several
+    views, of draws `(n, ...)`, `size` of them at a time."""
     if not len(poses.length):
-        return np.empty((0, NUM_JOINTS, 3)), np.empty((0, NUM_JOINTS, 2))
+        return np.empty((0, NUM_JOINTS, 3)), np.empty((0, *posterior.detection.keypoints.shape))
     return over_draws(_place, (posterior.model, posterior.root_prior), points, poses, size=size)
 
 

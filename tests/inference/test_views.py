@@ -376,6 +376,14 @@ def test_what_cannot_be_is_refused_in_a_sentence(model: PoseModel) -> None:
 # --- the sampler
 
 
+def test_no_draws_of_several_views_have_keypoints_of_each(model: PoseModel) -> None:
+    points, poses, world = bodies(model, 1, seed=3)
+    instant = seen(straight(2), world[0], math.exp(points.log_size[0]), FAULTY, seed=1)
+    none = jax.tree.map(lambda leaf: np.asarray(leaf)[:0], (points, poses))
+    joints, keypoints = place(instant.posterior(model), *none)
+    assert (joints.shape, keypoints.shape) == ((0, 15, 3), (0, 2, 15, 2))
+
+
 def evidence_by_the_prior(posterior, key: int, number: int) -> tuple[float, float]:
     """The evidence by importance sampling with the program's log joint: root and lengths as the
     product proposes them, directions from the prior. Log, and its standard error."""

@@ -126,9 +126,7 @@ class Session:
 
     def without(self, camera: int) -> Triangulated:
         """`world` by all cameras but one."""
-        kept = [number for number in range(len(self.cameras)) if number != camera]
-        cameras = [self.straight[number] for number in kept]
-        return joints_seen(cameras, self.keypoints[kept], self.score[kept])
+        return seen_without(camera, self.straight, self.keypoints, self.score)
 
     @cached_property
     def apart(self) -> np.ndarray:
@@ -306,6 +304,14 @@ def joints_seen(cameras: Sequence[Pinhole], xy: np.ndarray, score: np.ndarray) -
         found.covariance.reshape(*shape[1:], 3, 3),
         found.weight.reshape(shape),
     )
+
+
+def seen_without(
+    camera: int, cameras: Sequence[Pinhole], xy: np.ndarray, score: np.ndarray
+) -> Triangulated:
+    """`joints_seen` by all cameras but one."""
+    kept = [number for number in range(len(cameras)) if number != camera]
+    return joints_seen([cameras[number] for number in kept], xy[kept], score[kept])
 
 
 def _scale(cameras: Sequence[Pinhole], points: np.ndarray) -> np.ndarray:

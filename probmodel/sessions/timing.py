@@ -1,13 +1,13 @@
 """Whether cameras are in step. What a camera sees too late differs from what the others triangulate
 along the way that joints go, by the more the quicker they go."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from poseterior.probmodel.sessions.pinhole import Pinhole
-from poseterior.probmodel.sessions.session import Session, joints_seen
+from poseterior.probmodel.sessions.session import Session, seen_without
 
 FEWEST_CAMERAS, FEWEST_FRAMES = 3, 30
 """With which anything is said."""
@@ -19,13 +19,15 @@ OUT_OF_STEP = 5.0
 """Standard errors from which a camera is out of step."""
 ANOTHERS = 0.1
 """Of the largest lag: what it may leave of itself in the other cameras'."""
+NORMAL = 1.4826
+"""Standard deviations of a normal law in its median absolute value."""
 _FAR = 3.0
 """Standard deviations from which a residual counts less."""
 
 
 class Lags(NamedTuple):
-    """By how many `frames` `(C,)` cameras are behind the others, in the middle, and the standard
-    `error` of each; negative where one is ahead."""
+    """By how many `frames` `(C,)` cameras are behind their median, negative where one is ahead, and
+    the standard `error` of each."""
 
     frames: np.ndarray
     error: np.ndarray
@@ -37,14 +39,16 @@ class Lags(NamedTuple):
         size = np.abs(self.frames)
         return (size > OUT_OF_STEP * self.error) & (size > max(0.5, ANOTHERS * size.max()))
 
-    def said(self, labels: Sequence[str]) -> list[str]:
-        """A sentence for each camera that is out of step."""
+    def said(self, labels: Sequence[str], used: Collection[str] | None = None) -> list[str]:
+        """A sentence for each camera that is out of step, of those that are `used`: all, if none
+        are named."""
         return [
             f"{labels[row]} is {abs(self.frames[row]):.1f} frames"
             f" {'behind' if self.frames[row] > 0 else 'ahead of'} the other cameras"
             f" (± {2 * self.error[row]:.1f}): its detections are of another moment; put them into"
             " step, or leave that camera out"
             for row in map(int, np.flatnonzero(self.sure))
+            if used is None or labels[row] in used
         ]
 
 
@@ -90,22 +94,26 @@ def _behind(
     """By how many frames cameras are behind all others, and standard errors `(C,)`."""
     found = []
     for number, camera in enumerate(cameras):
-        others = [one for one in range(len(cameras)) if one != number]
-        some = [cameras[one] for one in others]
-        image = camera.project(joints_seen(some, keypoints[others], score[others]).points)
-        speed, off = np.gradient(image, times, axis=0), keypoints[number] - image
-        with np.errstate(all="ignore"):
-            off = off - np.nanmedian(off, axis=0)
-            spread = 1.4826 * np.nanmedian(np.abs(off), axis=(0, 2))[:, None]
-        weight = 1 / (spread**2 + off**2 / _FAR**2)
-        known = np.isfinite(weight) & np.isfinite(speed)
-        weight, off, speed = (np.where(known, part, 0.0) for part in (weight, off, speed))
-        product = (weight * off * speed).sum(axis=(1, 2))
-        square = (weight * speed**2).sum(axis=(1, 2))
-        slope = product.sum() / square.sum() if square.any() else 0.0
-        left = product - slope * square
-        stretches = np.add.reduceat(left, np.arange(0, len(left), HANG_TOGETHER))
-        error = np.sqrt(np.sum(stretches**2)) / square.sum() if square.any() else np.inf
-        found.append((-slope, error))
-    behind, errors = np.transpose(found)
-    return behind, errors
+        image = camera.project(seen_without(number, cameras, keypoints, score).points)
+        found.append(_slope(keypoints[number] - image, np.gradient(image, times, axis=0)))
+    slope, error = np.transpose(found)
+    return -slope, error
+
+
+def _slope(off: np.ndarray, speed: np.ndarray) -> tuple[float, float]:
+    """Of residuals `(F, 15, 2)` along the way that joints go, and its standard error, which is
+    infinite where nothing moves."""
+    with np.errstate(all="ignore"):
+        off = off - np.nanmedian(off, axis=0)
+        spread = NORMAL * np.nanmedian(np.abs(off), axis=(0, 2))[:, None]
+    weight = 1 / (spread**2 + off**2 / _FAR**2)
+    known = np.isfinite(weight) & np.isfinite(speed)
+    weight, off, speed = (np.where(known, part, 0.0) for part in (weight, off, speed))
+    product = (weight * off * speed).sum(axis=(1, 2))
+    square = (weight * speed**2).sum(axis=(1, 2))
+    if not square.any():
+        return 0.0, np.inf
+    slope = product.sum() / square.sum()
+    left = product - slope * square
+    stretches = np.add.reduceat(left, np.arange(0, len(left), HANG_TOGETHER))
+    return slope, np.sqrt(np.sum(stretches**2)) / square.sum()

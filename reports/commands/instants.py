@@ -26,7 +26,8 @@ def run(settings: HypothesesSettings, screen: Screen) -> None:
         session = settings.session
         instant, lags = settings.instant(session), lags_of(session)
         model = settings.prior.model(rooted=True)
-    for sentence in lags.said(session.labels) if lags else ():
+    used = [view.label for view in instant.views]
+    for sentence in lags.said(session.labels, used) if lags else ():
         console.warn(sentence)
     out = console.output_folder(settings.out)
     with console.progress("bodies and their limbs", screen.quiet) as step:

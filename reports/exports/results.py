@@ -284,8 +284,7 @@ def _poses_of(path: Path, wanted: Wanted, tree: xr.DataTree) -> xr.Dataset:
     if wanted.path is None:
         if wanted.what == HYPOTHESIS:
             return tree["hypotheses"].to_dataset().isel(hypothesis=0)
-        summary = tree["summary"].to_dataset()
-        return summary.drop_vars("joints", errors="ignore").rename(mean="joints")
+        return tree["summary"].to_dataset().rename(mean="joints")
     if wanted.what is not None:
         raise BadInput("a path is whole; leave --what or --path-number out")
     paths = film_draws(path)

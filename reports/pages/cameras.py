@@ -34,6 +34,7 @@ from poseterior.reports.pages.filmed import PARTS, Film, film, learn_as
 from poseterior.reports.pages.honest import STRETCH
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
 from poseterior.reports.tables import Column, Sheet, sheet_of
+from poseterior.reports.tables.frames import BELIEVED
 
 JUDGED_FRAMES = 20
 """Instants of the film at which every pair and every three of the cameras are judged."""
@@ -49,8 +50,6 @@ JUDGED_AXES = {
 the camera that three leave out."""
 SETS = {number: list(itertools.combinations(range(4), number)) for number in JUDGED_AXES}
 """By number, the cameras that are judged by the others."""
-LIKELY = 0.5
-"""Probability above which a fault counts as found."""
 WRIST = JOINT_INDEX["right_wrist"]
 UNTOUCHED, EXCHANGED_LEGS = "nothing", "legs exchanged"
 MOVED = {"a wrist moved": 0.5, "a wrist moved far": 1.0}
@@ -270,7 +269,7 @@ def fault_table(found: dict[str, list[Any]]) -> Sheet:
     rows, every = [], {kind: _faulty(cases) for kind, cases in found.items()}
     other = [row for row, joint in enumerate(LIMB_JOINTS) if joint != WRIST]
     for kind, one in every.items():
-        outlier, legs = alarms = one.outlier > LIKELY, one.legs > LIKELY
+        outlier, legs = alarms = one.outlier > BELIEVED, one.legs > BELIEVED
         hit, moved = "", ""
         if kind != UNTOUCHED:
             alarm = outlier if kind in MOVED else legs
@@ -301,14 +300,13 @@ def out_of_step(session: Session, camera: int, frames: int) -> Session:
 
 def lag_table(session: Session) -> Sheet:
     """What is found of cameras that are out of step, and where none is."""
-    cases = [("none", session)] + [
-        (f"{label}, {abs(frames)} {'behind' if frames > 0 else 'ahead'}", late)
-        for camera, label in enumerate(session.labels)
-        for frames in PLANTED_LAGS
-        for late in [out_of_step(session, camera, frames)]
-    ]
+    cases = {"none": session}
+    for camera, label in enumerate(session.labels):
+        for frames in PLANTED_LAGS:
+            name = f"{label}, {abs(frames)} {'behind' if frames > 0 else 'ahead'}"
+            cases[name] = out_of_step(session, camera, frames)
     rows = []
-    for name, case in cases:
+    for name, case in cases.items():
         lags = lags_of(case)
         assert lags is not None
         cells = []

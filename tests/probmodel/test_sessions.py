@@ -701,6 +701,8 @@ def test_a_camera_that_is_out_of_step_is_named(late: int) -> None:
     [said] = lags.said(["a", "b", "c", "d"])
     words = "behind the other" if late > 0 else "ahead of the other"
     assert said.startswith(f"b is {abs(lags.frames[1]):.1f} frames {words} cameras")
+    assert lags.said(["a", "b", "c", "d"], ["b", "c"]) == [said]
+    assert not lags.said(["a", "b", "c", "d"], ["a", "c"]), "one that is left out already"
 
 
 @pytest.mark.slow

@@ -267,7 +267,6 @@ def _limbs(
     every = _targets(judge, sights, body, jax.random.uniform(view_key, (sights.counts.shape[1],)))
     upper = [_upper_bone(model, body, every, row) for row in range(len(UPPER_BONES))]
     chained = jax.tree.map(lambda *rows: jnp.stack(rows), *upper[1:])
-    lengths = body.size * length[jnp.array(CHAIN_LENGTHS)]
     target = jax.tree.map(lambda leaf: leaf[jnp.array(WRISTS)], every)
     reference = jnp.tile(jnp.asarray(model.limits.reference), (NUM_LOWER, 1))
     below = LowerReach(model.hinges, reference, jnp.asarray(model.limits.fallback), target)
@@ -297,6 +296,7 @@ def _limbs(
 
     numbers = _spread(chain_key, NUM_LOWER, 2)
     offsets = jax.random.uniform(order_key, (NUM_LOWER,))
+    lengths = body.size * length[jnp.array(CHAIN_LENGTHS)]
     chains = jax.vmap(chain)(numbers, offsets, chained, below, lengths)
     heads = jax.vmap(head)(_spread(head_key, 1, 1)[0, :, 0])
     return jax.tree.map(lambda one, many: jnp.concatenate([one[None], many]), heads, chains)

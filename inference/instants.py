@@ -114,6 +114,7 @@ def tree_of_views(draws: Draws) -> xr.DataTree:
         **provenance(posterior.model),
         source=posterior.detection.source,
         errors=posterior.likelihood.words,
+        up=posterior.detection.up[0],
         body_unit="mean limb length",
     )
     return tree

@@ -22,13 +22,17 @@ from poseterior.inference.store import SETTINGS
 from poseterior.inference.summaries import Summary, summarised
 from poseterior.probmodel.datasets import body_height
 from poseterior.probmodel.failures import BadInput
-from poseterior.probmodel.measures import MEASURES, Measure, measure_of
+from poseterior.probmodel.level import level_axes
+from poseterior.probmodel.measures import ALONG_SIGHT, MEASURES, PLAIN, Measure, measure_of
+from poseterior.probmodel.root_priors import WORLD
 
 SHORTEST_PERSON, TALLEST_PERSON = 0.2, 3.0
 """Metres between which a person's height lies."""
 PROBABILITY = 0.95
 MOST_MODES = 2
 """Of a measure, at most, that are told apart."""
+UNIT_MM = "unit_mm"
+"""The attribute of a stream of calibrated cameras that says its unit; its joints are level."""
 _SAMPLED = ("chain", "draw")
 _SUMMARY = ("mean", "sd", "low", "high")
 _ADVICE = "give a posterior.nc, its folder, or that of a stream of `poseterior frames`"
@@ -45,12 +49,14 @@ def measures(
     ----------
     of
         A result, its tree, a Dataset with `joints` (…, joint, axis) in camera axes, or a file or
-        folder: a posterior.nc, or a stream whose draws were kept.
+        folder: a posterior.nc, or a stream whose draws were kept. Of calibrated cameras too: what
+        is counted from the vertical is, there, from the world's axis that is `up`.
     *wanted
         Names of measures, or expressions such as `angle(right_hip,right_knee,right_ankle)`; all
         that have a name where there are none.
     height
-        The person's, in metres, if it is known: lengths are then in millimetres. Every draw is
+        The person's, in metres, if it is known: lengths are then in millimetres, as those of
+        calibrated cameras always are. Every draw is
         scaled to it, head, back, upper and lower leg and a tenth for feet and hips; as sizes are
         equally probable on a log scale before, that is the posterior given the height.
 
@@ -64,11 +70,10 @@ def measures(
     Raises
     ------
     BadInput
-        Where there is no such measure, no draw, no result, or no person is so tall.
+        Where there is no such measure, no draw, no result, no person is so tall, a height is given
+        where calibrated cameras know it, or depth is asked for where there is no one camera.
     """
     chosen = chosen_measures(wanted)
-    if height is not None:
-        require_height(height)
     if isinstance(of, str | os.PathLike):
         return _of_path(Path(of), chosen, height)
     group = of.tree if isinstance(of, Result) else of
@@ -85,8 +90,16 @@ def chosen_measures(wanted: Sequence[str]) -> list[Measure]:
     return list({one.name: one for one in found}.values())
 
 
-def require_height(height: float) -> None:
-    """Raises `BadInput` where no person is so many metres tall."""
+def require_height(height: float | None, unit_mm: float | None) -> None:
+    """Raises `BadInput` where no person is so many metres tall, or it is known how large a body
+    unit is; None is no height."""
+    if height is None:
+        return
+    if unit_mm is not None:
+        raise BadInput(
+            "calibrated cameras know how large the person is; leave the height out (on the command"
+            " line --height)"
+        )
     if not SHORTEST_PERSON <= height <= TALLEST_PERSON:  # false for NaN too
         raise BadInput(
             f"{height:g} is not the height of a person in metres, from {SHORTEST_PERSON:g} to"
@@ -94,14 +107,29 @@ def require_height(height: float) -> None:
         )
 
 
+def known_unit(about: Mapping[Any, Any]) -> float | None:
+    """Millimetres of the unit of a result's joints, by its attributes; None where nobody knows."""
+    if UNIT_MM in about:
+        return float(about[UNIT_MM])
+    return 1.0 if about.get("root") == WORLD else None
+
+
+def level(joints: np.ndarray, about: Mapping[Any, Any]) -> np.ndarray:
+    """Joints `(..., 15, 3)` of a result, by its attributes, in axes in which measures are told: a
+    camera's, or those of a world with y down. Raises `BadInput` where it does not say which way is
+    up."""
+    if UNIT_MM in about or about.get("root") != WORLD:
+        return joints
+    return joints @ level_axes(str(about.get("up"))).T
+
+
 def in_units(
-    joints: np.ndarray, chosen: Sequence[Measure], height: float | None
+    joints: np.ndarray, chosen: Sequence[Measure], unit_mm: float | np.ndarray | None
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """The unit, and the values `(...)`, of each measure of poses `(..., 15, 3)` in body units: of
-    lengths millimetres where the height is known."""
-    unit_mm = 1.0 if height is None else 1000 * height / body_height(joints)
+    """The unit, and the values `(...)`, of each measure of poses `(..., 15, 3)` in units of so many
+    millimetres, or body units where nobody knows."""
     for one in chosen:
-        scaled = one.kind == "length" and height is not None
+        scaled = one.kind == "length" and unit_mm is not None
         yield ("mm" if scaled else one.unit), one.of(joints) * (unit_mm if scaled else 1.0)
 
 
@@ -111,23 +139,47 @@ def _measured(
     height: float | None,
     about: Mapping[Any, Any],
 ) -> xr.Dataset:
+    unit_mm = known_unit(about)
+    require_height(height, unit_mm)
+    if unit_mm is not None:
+        _require_no_depth(chosen)
+    elif joints.attrs.get("units") == "mm":
+        raise BadInput(
+            "these joints are of calibrated cameras, and without a word of which way is up; give"
+            " the result, or its tree"
+        )
     joints = joints.transpose(..., "joint", "axis")
     if not joints.size:
         raise BadInput("there is no draw to measure; sample again, with a larger budget")
+    poses = level(joints.values.astype(float), about)
+    known = unit_mm if height is None else 1000 * height / body_height(poses)
     dims = [name for name in joints.dims if name not in ("joint", "axis")]
-    values = zip(chosen, in_units(joints.values.astype(float), chosen, height), strict=True)
+    values = zip(chosen, in_units(poses, chosen, known), strict=True)
     return xr.Dataset(
-        {one.name: (dims, found, _attributes(one, unit)) for one, (unit, found) in values},
+        {
+            one.name: (dims, found, _attributes(one, unit, about.get("up")))
+            for one, (unit, found) in values
+        },
         coords={name: joints.coords[name] for name in dims if name in joints.coords},
         attrs=dict(about) | ({} if height is None else {"height": height}),
     )
 
 
-def _attributes(one: Measure, unit: str) -> dict[str, Any]:
+def _require_no_depth(chosen: Sequence[Measure]) -> None:
+    for one in chosen:
+        if one.name.startswith(f"{ALONG_SIGHT}("):
+            raise BadInput(
+                f"{one.name} is told along the sight of one camera, and this result is of several;"
+                f" ask for {one.name.replace(ALONG_SIGHT, 'level', 1)}, the distance on the level"
+            )
+
+
+def _attributes(one: Measure, unit: str, up: str | None) -> dict[str, Any]:
+    vertical = f"angle with the calibration's axis {up}, which is taken for vertical"
     return {
         "units": unit,
         "convention": one.convention,
-        "source": one.source,
+        "source": vertical if up and one.source == PLAIN else one.source,
         "circular": int(one.circular),
     }
 

@@ -17,7 +17,7 @@ from poseterior.probmodel.arrays import HDF5, ArrayFile, doubles
 from poseterior.probmodel.detections import LARGEST_NUMBER
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.files import opened
-from poseterior.probmodel.root_priors import UNCERTAIN
+from poseterior.probmodel.root_priors import UNCERTAIN, WORLD
 from poseterior.probmodel.skeleton import NUM_JOINTS
 
 WHAT, ADVICE = "posterior.nc of poseterior", "give one that `poseterior` wrote"
@@ -53,23 +53,26 @@ LONGEST_TEXT = 5000
 """Characters of an attribute; the longest name of a file has 4,096."""
 
 
-def _variables(uncertain: bool) -> dict[str, tuple[str, ...]]:
-    """What is read, and its dimensions."""
-    found: dict[str, tuple[str, ...]] = {
-        "posterior/joints": ("chain", "draw", "joint", "axis"),
+def _variables(root: object) -> dict[str, tuple[str, ...]]:
+    """What is read under such a prior of the root, and its dimensions."""
+    found: dict[str, tuple[str, ...]] = {"posterior/joints": ("chain", "draw", "joint", "axis")}
+    if root == WORLD:
+        return found
+    found |= {
         "posterior/keypoints": ("chain", "draw", "joint", "uv"),
         "posterior/candidate": ("chain", "draw"),
         "observed_data/keypoints": ("joint", "uv"),
         "observed_data/score": ("joint",),
     }
-    by_candidate = _CANDIDATE | (_SPREADS if uncertain else {})
+    by_candidate = _CANDIDATE | (_SPREADS if root == UNCERTAIN else {})
     return found | {
         f"constant_data/{name}": ("candidate", *dims) for name, dims in by_candidate.items()
     }
 
 
 def read_result(path: str | os.PathLike) -> Result:
-    """A saved result, without what nobody asks of it: lengths, densities, predictions, all roots.
+    """A saved result, without what nobody asks of it: lengths, densities, predictions, all roots;
+    of several views, nothing but joints.
 
     Parameters
     ----------
@@ -85,7 +88,7 @@ def read_result(path: str | os.PathLike) -> Result:
         found = ArrayFile(file, str(path), WHAT, ADVICE)
         found.require(HDF5)
         attributes = found.own_attributes()
-        variables = _variables(attributes.get("root") == UNCERTAIN)
+        variables = _variables(attributes.get("root"))
         arrays = found.read(list(variables))
     for name in variables:
         if name not in arrays:
@@ -126,17 +129,21 @@ def _plain(array: np.ndarray) -> np.ndarray:
 
 
 def _require_possible(groups: dict[str, dict[str, Any]], path: str | os.PathLike) -> None:
-    """Raises `BadInput` where there is no draw, its candidate is none of those listed, or these
-    have no camera."""
-    posterior = {name: values for name, (_, values) in groups["posterior"].items()}
-    candidates = len(groups["constant_data"]["weight"][1])
-    if not posterior["joints"].size or not candidates:
+    """Raises `BadInput` where there is no draw, or what there is cannot be of one view."""
+    known = {name: values for group in groups.values() for name, (_, values) in group.items()}
+    if not known["joints"].size or ("weight" in known and not len(known["weight"])):
         raise BadInput(
             f"{path} holds no draw; sample again, with more --max-proposals on the command line"
         )
-    if not ((posterior["candidate"] >= 0) & (posterior["candidate"] < candidates)).all():
+    if "weight" in known:  # of several views there are no candidates
+        _require_candidates(known, path)
+
+
+def _require_candidates(known: dict[str, np.ndarray], path: str | os.PathLike) -> None:
+    """Raises `BadInput` where a draw's candidate is none of those listed, or these have no
+    camera."""
+    if not ((known["candidate"] >= 0) & (known["candidate"] < len(known["weight"]))).all():
         raise BadInput(f"{path} has draws of candidates that it does not list; {ADVICE}")
-    known = {name: values for name, (_, values) in groups["constant_data"].items()}
     turned = np.swapaxes(known["rotation"], 1, 2) @ known["rotation"] - np.eye(3)
     if np.abs(turned).max() > _TURNED or (known["scale"] <= 0).any() or (known["weight"] < 0).any():
         raise BadInput(f"{path} has a candidate with a camera or a weight that none has; {ADVICE}")
@@ -159,7 +166,8 @@ def _checked(attributes: Any, path: str | os.PathLike) -> dict[str, Any]:
     kinds: dict[str, Any] = dict.fromkeys(_TEXTS, str) | dict.fromkeys(_NUMBERS, (int, float))
     if attributes.get("root") == UNCERTAIN:
         kinds |= dict.fromkeys(("num_roots", "effective_roots"), (int, float))
-    for name, kind in (kinds | {"person": int}).items():
+    own: dict[str, Any] = {"up": str} if attributes.get("root") == WORLD else {"person": int}
+    for name, kind in (kinds | own).items():
         if not isinstance(attributes.get(name), kind):
             raise BadInput(f"{path} does not say its {name}; {ADVICE}")
     for name, value in attributes.items():

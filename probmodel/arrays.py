@@ -576,6 +576,17 @@ def read_netcdf(
         return found.read(wanted)
 
 
+def netcdf_attributes(
+    path: str | os.PathLike, what: str, advice: str
+) -> dict[str, str | int | float]:
+    """The attributes of a netCDF4 file itself that are one text or one number, by name. Raises
+    `BadInput` as `read_netcdf`."""
+    with opened(path, what, advice) as file:
+        found = ArrayFile(file, str(path), what, advice)
+        found.require(HDF5)
+        return found.own_attributes()
+
+
 def read_mat(
     path: str | os.PathLike, wanted: Sequence[str], what: str, advice: str
 ) -> dict[str, np.ndarray]:

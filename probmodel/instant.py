@@ -23,6 +23,7 @@ from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.errors.faults import FaultPrior, Faults
 from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.level import up_of
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import DetectedJoints, Observation
 from poseterior.probmodel.posterior import Estimate, Posterior
@@ -102,6 +103,12 @@ class Instant:
     def rig(self) -> CameraRig:
         """The cameras."""
         return CameraRig.of([view.camera for view in self.views])
+
+    @property
+    def up(self) -> tuple[str, float]:
+        """The world's axis that points up, and how many degrees it lies from the cameras' own up
+        (`level.up_of`)."""
+        return up_of(np.stack([view.camera.rotation for view in self.views]))
 
     @property
     def keypoints(self) -> np.ndarray:

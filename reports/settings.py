@@ -427,7 +427,8 @@ class MeasureSettings:
 
     Measures have the ISB's conventions where fifteen joints determine them; others are written as
     angle(a,b,c), inclination(a,b), distance(a,b), level(a,b), height(a) or depth(a,b) of names of
-    joints. Lengths are in body units, with --height in millimetres. A stream needs draws that were
+    joints. Lengths are in body units, with --height, or from calibrated cameras, in millimetres. A
+    stream needs draws that were
     kept (`frames --keep`)."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
@@ -458,7 +459,8 @@ class ExportSettings:
     the film of a stream.
 
     All have x to the right of the image, y up and z towards the camera, with the pelvis at the
-    origin, or, of a stream with a known focal length, the camera. Of a stream it takes the mean of
+    origin, or, of a stream with a known focal length, the camera. Of calibrated cameras all is
+    where it stands in their world, turned so that y is up. Of a stream it takes the mean of
     each frame's draws, made a body with bones of one length. Frames that are not there are gaps.
     Standard deviations of the draws are columns in CSV, markers JOINT_sd in TRC, residuals
     in C3D (root mean square distance); hypotheses.json alone knows none. C3D and glTF need
@@ -480,10 +482,11 @@ class ExportSettings:
     ]
     to: Annotated[ExportFormat, Option(help="The format.", show_default=False)]
     out: Path | None = option(None, "File to write.", show_default="the result's name, here")
-    height: float = option(
-        1.75,
+    height: float | None = option(
+        None,
         "The person's height in metres: head, back, upper and lower leg, and a tenth for"
         " feet and hips.",
+        show_default="1.75; calibrated cameras know it",
     )
     unit: LengthUnit | None = option(None, "Of lengths.", show_default="mm; m for BVH and glTF")
     k: int | None = option(None, "How many hypotheses.", show_default="all that were chosen, or 5")

@@ -7,8 +7,18 @@ source.
 `MEASURES` is the registry of those with a name; `measure_of` also understands expressions over any
 joints. Joints are `(..., 15, 3)` in camera axes, their lengths in any unit."""
 
-from poseterior.probmodel.measures.catalogue import MEASURES, USUAL
-from poseterior.probmodel.measures.expressions import FUNCTIONS, measure_of
+from poseterior.probmodel.measures.catalogue import MEASURES, PLAIN, USUAL
+from poseterior.probmodel.measures.expressions import ALONG_SIGHT, FUNCTIONS, measure_of
 from poseterior.probmodel.measures.measure import Measure, turned, wrapped
 
-__all__ = ["FUNCTIONS", "MEASURES", "USUAL", "Measure", "measure_of", "turned", "wrapped"]
+__all__ = [
+    "ALONG_SIGHT",
+    "FUNCTIONS",
+    "MEASURES",
+    "PLAIN",
+    "USUAL",
+    "Measure",
+    "measure_of",
+    "turned",
+    "wrapped",
+]

@@ -19,6 +19,8 @@ from poseterior.probmodel.measures.measure import Kind, Measure
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 
 OWN = "as written"
+ALONG_SIGHT = "depth"
+"""The one function that means nothing without a camera."""
 LONGEST_EXPRESSION = 200
 """Letters of an expression."""
 _CALL = re.compile(r"\s*([a-z]+)\s*\(([a-z_\s,]*)\)\s*", re.ASCII)
@@ -62,7 +64,9 @@ FUNCTIONS = {
     "distance": Function(2, _distance, "length", "between two joints"),
     "level": Function(2, _level, "length", "between two joints, on the level"),
     "height": Function(1, height_above_feet, "length", "above the lower ankle, vertically"),
-    "depth": Function(2, _depth, "length", "of the second behind the first, along the camera's z"),
+    ALONG_SIGHT: Function(
+        2, _depth, "length", "of the second behind the first, along the camera's z"
+    ),
 }
 """By name, what expressions may ask for."""
 

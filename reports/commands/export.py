@@ -33,12 +33,11 @@ def run(settings: ExportSettings, screen: Screen) -> None:
         TARGETS[to].write(clip, out, unit)
     for sentence in _doubts(clip, settings):
         console.warn(sentence)
-    origin = "camera" if clip.placed else "pelvis"
     what = _what(settings) if clip.film else ""
     console.show(
         screen.json,
         _as_json(clip, unit, out),
-        f"Written to {out}: {_words(clip)}{what}, in {unit}, y up, the {origin} at the origin,"
+        f"Written to {out}: {_words(clip)}{what}, in {unit}, y up, the {clip.origin} at the origin,"
         f" {clip.rate:g} a second.",
     )
 

@@ -8,6 +8,7 @@ from poseterior.inference.draws import COMPLETE
 from poseterior.inference.hypothesis import Hypothesis, hypotheses
 from poseterior.inference.instants import sample_instant
 from poseterior.probmodel.failures import OutOfBudget
+from poseterior.probmodel.level import doubtful
 from poseterior.probmodel.sessions.timing import lags_of
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
@@ -27,7 +28,8 @@ def run(settings: HypothesesSettings, screen: Screen) -> None:
         instant, lags = settings.instant(session), lags_of(session)
         model = settings.prior.model(rooted=True)
     used = [view.label for view in instant.views]
-    for sentence in lags.said(session.labels, used) if lags else ():
+    said = lags.said(session.labels, used) if lags else []
+    for sentence in [*said, *doubtful(*instant.up)]:
         console.warn(sentence)
     out = console.output_folder(settings.out)
     with console.progress("bodies and their limbs", screen.quiet) as step:
@@ -43,8 +45,8 @@ def run(settings: HypothesesSettings, screen: Screen) -> None:
         raise OutOfBudget(result.sentence)
     result.save(out / "posterior.nc", double=settings.double)
     chosen = hypotheses(result, settings.k, seed=sampling.seed)
-    unit = "mm, the axes of the calibration"
-    text = as_text(chosen, result, sampling.seed, unit=unit)
+    own = {"unit": "mm, the axes of the calibration", "up": instant.up[0]}
+    text = as_text(chosen, result, sampling.seed, **own)
     console.write_text(out / "hypotheses.json", text)
     save_figure(views_figure(result.tree, chosen), out / "hypotheses.png")
     places, views = places_table(result.tree), views_table(result.tree)

@@ -14,6 +14,8 @@ UNITS = {"m": 1.0, "mm": 1000.0}
 """How many of each unit make a metre."""
 RATE = 30.0
 """Frames a second where nobody says: to be said whenever it is used."""
+PELVIS, CAMERA, WORLD_ORIGIN = "pelvis", "camera", "origin of the calibration"
+"""What is at the origin of poses."""
 LEAST_RATE, MOST_RATE = 1e-3, 1e5
 """Frames a second; no film has fewer, no camera takes more."""
 
@@ -47,8 +49,8 @@ class Clip:
 
     Attributes
     ----------
-    joints : `(n, 15, 3)` metres; x right, y up, z towards the camera, which is at the origin where
-        the pelvis is `placed`, and else the pelvis is. NaN where a frame of a film has no pose.
+    joints : `(n, 15, 3)` metres; x right, y up, z towards the camera; of calibrated cameras x and z
+        on the level. NaN where a frame of a film has no pose.
     names : what each is called.
     weights : `(n,)` share of the draws that each stands for; None where that means nothing.
     spread : `(n, 15, 3)` metres, standard deviations of the draws; None where there are none.
@@ -57,7 +59,7 @@ class Clip:
         other.
     rate : frames a second.
     timed : whether that is known, and not assumed.
-    placed : whether the pelvis is where it stands before the camera.
+    origin : what is at the origin: the pelvis of each pose, or what stands still.
     measures : joint angles, lengths and steps that are asked for.
     """
 
@@ -69,7 +71,7 @@ class Clip:
     numbers: list[int] | None = None
     rate: float = RATE
     timed: bool = False
-    placed: bool = False
+    origin: str = PELVIS
     measures: tuple[MeasureColumn, ...] = ()
 
     @property
@@ -155,6 +157,6 @@ def _spread_out(values: np.ndarray, places: np.ndarray, count: int) -> np.ndarra
 
 
 def viewed(joints: np.ndarray) -> np.ndarray:
-    """Joints `(..., 3)` in camera axes (y down, z away) turned about x: y up, z towards the
-    camera."""
+    """Joints `(..., 3)` in camera axes, or level ones (y down, z away), turned about x: y up, z
+    towards the camera."""
     return joints * np.array([1.0, -1.0, -1.0]) + 0.0  # no zero below zero

@@ -2,32 +2,43 @@
 folder of both, or the folder of a stream."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from poseterior.inference.films.film import film_draws
 from poseterior.inference.hypothesis import diverse
-from poseterior.inference.measured import require_height
+from poseterior.inference.measured import known_unit, level, require_height
 from poseterior.inference.store import SETTINGS
 from poseterior.inference.stream import all_draws, in_time, open_stream, rows_of_person
-from poseterior.probmodel.arrays import possible, read_netcdf
+from poseterior.probmodel.arrays import netcdf_attributes, possible, read_netcdf
 from poseterior.probmodel.datasets import body_height
 from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.measures import Measure
+from poseterior.probmodel.root_priors import WORLD
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, PARENTS
 from poseterior.reports.exports.bodies import Body
-from poseterior.reports.exports.clip import RATE, Clip, MeasureColumn, viewed
+from poseterior.reports.exports.clip import (
+    CAMERA,
+    PELVIS,
+    RATE,
+    WORLD_ORIGIN,
+    Clip,
+    MeasureColumn,
+    viewed,
+)
 from poseterior.reports.exports.measures import of_frames, of_poses
 from poseterior.reports.exports.smoothing import Smoother
 
 MEAN, HYPOTHESIS = "mean", "hypothesis"
 """What a film is made of: the mean of each frame's draws, made a body again, or the heaviest
 hypothesis."""
+HEIGHT = 1.75
+"""Metres, of a person of whom nobody says it."""
 K = 5
 """Hypotheses of a posterior.nc, where nothing else is said."""
 _JOINTS = "posterior/joints"
@@ -38,12 +49,12 @@ _ADVICE = (
 
 
 class Wanted(NamedTuple):
-    """What is wanted of a result: a `height` in metres; `k` hypotheses, or so many `draws`; of a
-    stream, which `person`, `what` of each frame (`MEAN`, `HYPOTHESIS`), and how it is smoothed; of
-    a film, which of its paths (`path`). At so many frames a second (`rate`). None: whatever is
-    usual."""
+    """What is wanted of a result: a `height` in metres, unless calibrated cameras know it; `k`
+    hypotheses, or so many `draws`; of a stream, which `person`, `what` of each frame (`MEAN`,
+    `HYPOTHESIS`), and how it is smoothed; of a film, which of its paths (`path`). At so many frames
+    a second (`rate`). None: whatever is usual."""
 
-    height: float
+    height: float | None = None
     k: int | None = None
     draws: int | None = None
     person: int | None = None
@@ -55,8 +66,9 @@ class Wanted(NamedTuple):
 
 
 class _Poses(NamedTuple):
-    """As in `Clip`, but in camera axes and body units; `measured` are the poses from which the body
-    unit is told, `body` what a film's poses are to be made of, `draws` all draws of one person,
+    """As in `Clip`, but in camera axes, or level ones with y down, and body units; `unit_mm` is how
+    many millimetres these are where cameras know it, `measured` the poses from which it is told
+    where not, `body` what a film's poses are to be made of, `draws` all draws of one person,
     `items` a film's in the stream, `rate` frames a second where the result says it."""
 
     joints: np.ndarray
@@ -66,7 +78,8 @@ class _Poses(NamedTuple):
     spread: np.ndarray | None = None
     film: bool = False
     numbers: list[int] | None = None
-    placed: bool = False
+    origin: str = PELVIS
+    unit_mm: float | None = None
     body: Body | None = None
     draws: np.ndarray | None = None
     items: list[str | None] | None = None
@@ -74,19 +87,22 @@ class _Poses(NamedTuple):
 
 
 def read_clip(path: Path, wanted: Wanted) -> Clip:
-    """The poses of a result, scaled so that its median pose has the wanted height (of
-    `body_height`: head, back, upper and lower leg, and a tenth for feet and hips).
+    """The poses of a result: of calibrated cameras as large as they are, others scaled so that
+    their median pose has the wanted height (of `body_height`: head, back, upper and lower leg, and
+    a tenth for feet and hips).
 
     Raises
     ------
     BadInput
-        Where it is no result, has not what is wanted, or no person is so tall.
+        Where it is no result, has not what is wanted, or no person is so tall, or a height is
+        wanted of calibrated cameras.
     """
-    require_height(wanted.height)
+    require_height(wanted.height, None)
     found = _read(path, wanted)
+    require_height(wanted.height, found.unit_mm)
     rate = found.rate if wanted.rate is None else wanted.rate
     _require_bodies(found.measured, path)
-    metres = wanted.height / float(np.median(body_height(found.measured)))
+    metres = _metres(found, HEIGHT if wanted.height is None else wanted.height)
     clip = Clip(
         metres * found.joints,
         found.names,
@@ -95,7 +111,7 @@ def read_clip(path: Path, wanted: Wanted) -> Clip:
         found.film,
         found.numbers,
         timed=rate is not None,
-        placed=found.placed,
+        origin=found.origin,
     ).at_rate(RATE if rate is None else rate)
     if wanted.measures:
         columns = _measures(path, wanted.measures, found, metres)
@@ -106,6 +122,13 @@ def read_clip(path: Path, wanted: Wanted) -> Clip:
     if found.body is not None:
         joints = found.body.grown(metres).posed(joints)
     return dataclasses.replace(clip, joints=viewed(joints))
+
+
+def _metres(found: _Poses, height: float) -> float:
+    """Of a body unit."""
+    if found.unit_mm is not None:
+        return found.unit_mm / 1000
+    return height / float(np.median(body_height(found.measured)))
 
 
 def _measures(
@@ -157,8 +180,9 @@ def _of_folder(folder: Path, wanted: Wanted) -> _Poses:
         return _chosen(chosen, wanted)
     if wanted.draws is not None or not chosen.exists():
         return _drawn(drawn, wanted)
-    found, joints = _chosen(chosen, wanted), _draws(drawn)
-    return found._replace(measured=joints, spread=_spread(joints, len(found.joints)), draws=joints)
+    found, (joints, about) = _chosen(chosen, wanted), _draws(drawn)
+    spread = _spread(joints, len(found.joints))
+    return found._replace(measured=joints, spread=spread, draws=joints, **_placed(about))
 
 
 # --- hypotheses.json
@@ -184,7 +208,16 @@ def _chosen(path: Path, wanted: Wanted) -> _Poses:
     k = len(joints) if wanted.k is None else wanted.k
     if not 1 <= k <= len(joints):
         raise BadInput(f"{path} holds {len(joints)} hypotheses, not {k}; give another --k")
-    return _Poses(joints[:k], _numbered("hypothesis", k, 1), joints, weights[:k])
+    about = {"root": WORLD, **content} if "up" in content else {}
+    joints = level(joints, about)
+    names = _numbered("hypothesis", k, 1)
+    return _Poses(joints[:k], names, joints, weights[:k], **_placed(about))
+
+
+def _placed(about: Mapping[str, Any]) -> dict[str, Any]:
+    """Where poses stand, and their unit, by the attributes of their result."""
+    unit_mm = known_unit(about)
+    return {} if unit_mm is None else {"origin": WORLD_ORIGIN, "unit_mm": unit_mm}
 
 
 # --- posterior.nc
@@ -192,7 +225,7 @@ def _chosen(path: Path, wanted: Wanted) -> _Poses:
 
 def _drawn(path: Path, wanted: Wanted) -> _Poses:
     """Single draws if asked for, else hypotheses with the spread of all draws."""
-    joints = _draws(path)
+    joints, about = _draws(path)
     if wanted.draws is not None:
         if wanted.k is not None:
             raise BadInput("--k hypotheses or --draws single draws, not both; leave one out")
@@ -200,7 +233,8 @@ def _drawn(path: Path, wanted: Wanted) -> _Poses:
             raise BadInput(
                 f"{path} holds {len(joints):,} draws, not {wanted.draws:,}; give another --draws"
             )
-        return _Poses(joints[: wanted.draws], _numbered("draw", wanted.draws, 0), joints)
+        names = _numbered("draw", wanted.draws, 0)
+        return _Poses(joints[: wanted.draws], names, joints, **_placed(about))
     chosen = diverse(joints, K if wanted.k is None else wanted.k)
     picked = np.stack([one.joints for one in chosen])
     return _Poses(
@@ -210,6 +244,7 @@ def _drawn(path: Path, wanted: Wanted) -> _Poses:
         np.array([one.weight for one in chosen]),
         _spread(joints, len(picked)),
         draws=joints,
+        **_placed(about),
     )
 
 
@@ -218,8 +253,8 @@ def _spread(joints: np.ndarray, times: int) -> np.ndarray:
     return np.tile(joints.std(axis=0), (times, 1, 1))
 
 
-def _draws(path: Path) -> np.ndarray:
-    """All draws `(n, 15, 3)` of a posterior.nc, chain by chain."""
+def _draws(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
+    """All draws `(n, 15, 3)` of a posterior.nc, chain by chain, level, and its attributes."""
     found = read_netcdf(path, (_JOINTS,), "posterior.nc of poseterior", _ADVICE)
     if _JOINTS not in found:
         raise BadInput(f"{path} holds no draws of poseterior; {_ADVICE}")
@@ -232,7 +267,8 @@ def _draws(path: Path) -> np.ndarray:
     if not len(joints):
         raise BadInput(f"{path} holds no draw; sample again, with more --max-proposals")
     _require_places(joints, path)  # before any of them is chosen
-    return joints
+    about = netcdf_attributes(path, "posterior.nc of poseterior", _ADVICE)
+    return level(joints, about), about
 
 
 # --- streams
@@ -258,8 +294,9 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
     source = _poses_of(path, wanted, tree)
     joints = _spread_out(source.joints.values.astype(float), rows)
     spread = _spread_out(of_draws.sd.values, rows)
-    placed = "place" in of_draws and bool(np.isfinite(of_draws.place.values).any())
-    if placed:
+    origin = PELVIS
+    if "place" in of_draws and np.isfinite(of_draws.place.values).any():
+        origin = CAMERA if known_unit(tree.attrs) is None else WORLD_ORIGIN
         joints = joints + _spread_out(source.place.values, rows)[:, None]
         spread[:, JOINT_INDEX["pelvis"]] = _spread_out(of_draws.place_sd.values, rows)
     exact = single and wanted.smoother is None
@@ -271,7 +308,8 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
         spread=spread[order],
         film=True,
         numbers=numbers,
-        placed=placed,
+        origin=origin,
+        unit_mm=known_unit(tree.attrs),
         body=None if exact else body,
         items=[None if row is None else names[row] for row in (rows[at] for at in order)],
         rate=tree.attrs.get("rate"),

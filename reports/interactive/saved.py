@@ -16,6 +16,7 @@ from poseterior.probmodel.detections import LARGEST_NUMBER
 from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.measures import USUAL
+from poseterior.probmodel.root_priors import WORLD
 from poseterior.probmodel.skeleton import JOINTS
 from poseterior.reports.interactive.film import film_page
 from poseterior.reports.interactive.person import person_page
@@ -53,6 +54,11 @@ def page_of(path: Path, image: np.ndarray | None = None) -> str:
     if path.is_dir() and not drawn.exists():
         raise BadInput(f"{path} is a folder without a result; {_ADVICE}")
     result = read_result(drawn)
+    if result.tree.attrs["root"] == WORLD:
+        raise BadInput(
+            f"{drawn} is of several cameras, of which there is no page; look at hypotheses.png"
+            " beside it, or export it"
+        )
     return person_page(result, _chosen(drawn.parent / "hypotheses.json", result), image=image)
 
 

@@ -135,7 +135,9 @@ def _modes(record: Record) -> str:
 
 def _caption(found: xr.Dataset) -> str:
     lengths = "" if "body units" not in found.units.values else f" Lengths: {UNIT_NOTE}."
+    up = found.attrs.get("up")
+    whose = f"from the calibration's axis {up}" if up else "the camera's"
     return (
-        "Verticals are the camera's. Angles of a circle have the mean and deviation of directions;"
+        f"Verticals are {whose}. Angles of a circle have the mean and deviation of directions;"
         f" their intervals may end beyond 180°.{lengths}"
     )

@@ -685,7 +685,8 @@ def test_where_the_focal_length_is_known_the_person_stands_somewhere(
     tree["hypotheses"]["place"].values[:] = walk[:, None]
     monkeypatch.setattr(results, "open_stream", lambda path: tree)
     clip = clip_of(gap)
-    assert clip.placed
+    assert clip.origin == "camera"
+    assert still.origin == "pelvis"
     metres = 1.75 / np.median(body_height(tree["hypotheses"].joints.values[:4, 0]))
     in_time = walk[[0, 1, 4, 2, 3]]
     assert clip.joints[clip.there, 0] == pytest.approx((metres * viewed(in_time))[clip.there])

@@ -151,7 +151,7 @@ def weight_limbs() -> None:
 
     from poseterior.inference.exact.groups import GroupTables
     from poseterior.inference.exact.loops.tables import CELLS, LimbTables
-    from poseterior.inference.importance.limbs import EFFORT, LimbSampling, blind, weigh_limbs
+    from poseterior.inference.importance.limbs import LimbSampling, blind, weigh_limbs
     from poseterior.probmodel.anatomy.limits import NUM_AZIMUTH, NUM_ELEVATION
     from poseterior.probmodel.errors.likelihood import PAPER
     from poseterior.probmodel.skeleton import GROUPS
@@ -164,7 +164,7 @@ def weight_limbs() -> None:
         lengths = np.tile([0.0, 1.0, 2.0, 2.0], (bones, 1))
         tables[name] = GroupTables((limb,) * len(limbs), lengths)
     views = blind(1)
-    sampling = LimbSampling(tables, {}, [0, 0], PAPER.law, EFFORT)
+    sampling = LimbSampling(tables, {}, [0, 0], PAPER.law, {1: (1, 2), 2: (1, 2)})
     weigh_limbs(sampling, views, np.zeros(views.reach.shape, bool), 0)
 
 

@@ -389,9 +389,11 @@ class PersonOrSession(Person):
     @property
     def is_session(self) -> bool:
         """Whether it is a folder of calibrated cameras."""
+        if not self.file.is_dir():
+            return False
         from poseterior.probmodel.sessions import is_session
 
-        return self.file.is_dir() and is_session(self.file)
+        return is_session(self.file)
 
     def check(self) -> None:
         """Reads the file if it is one of detections. Raises `BadInput` as `Person.check` does."""
@@ -827,6 +829,6 @@ def _jax_cache() -> dict[str, Any]:
         return {}  # without a cache everything works, only slower
     return {
         "jax_compilation_cache_dir": str(cache),
-        "jax_persistent_cache_min_compile_time_secs": 0.1,
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
         "jax_persistent_cache_min_entry_size_bytes": 0,
     }

@@ -23,7 +23,7 @@ tests wait for, and the processes of a run, the slow run and the next run ask fo
 SETTINGS = {
     "jax_enable_x64": True,
     "jax_compilation_cache_dir": str(CACHE / "poseterior"),
-    "jax_persistent_cache_min_compile_time_secs": 0.1,
+    "jax_persistent_cache_min_compile_time_secs": 0.0,
     "jax_persistent_cache_min_entry_size_bytes": 0,
 }
 for name, value in SETTINGS.items():

@@ -5,6 +5,7 @@ may have a namesake of another value in one file more, and in no third. What has
 several files has one meaning."""
 
 import ast
+import functools
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -104,6 +105,7 @@ def offenders(trees: Mapping[str, ast.Module]) -> dict[str, list[str]]:
     return {name: sorted(use.file for use in uses) for name, uses in found.items()}
 
 
+@functools.cache
 def house() -> dict[str, ast.Module]:
     return {
         path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
@@ -112,15 +114,20 @@ def house() -> dict[str, ast.Module]:
     }
 
 
+@functools.cache
+def offenders_here() -> dict[str, list[str]]:
+    return offenders(house())
+
+
 def test_a_name_has_one_meaning() -> None:
-    found = offenders(house())
+    found = offenders_here()
     new = {name: files for name, files in found.items() if name not in NOT_YET}
     assert not new, "\n".join(f"{name}: {', '.join(files)}" for name, files in new.items())
 
 
 def test_what_is_excused_needs_to_be() -> None:
     """An excuse that nobody needs any more is taken out of the lists."""
-    found = offenders(house())
+    found = offenders_here()
     assert sorted(NOT_YET - set(found)) == []
     every = {use.name for file, tree in house().items() for use in constants_of(file, tree)}
     assert set(CONVENTIONAL) <= every

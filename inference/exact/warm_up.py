@@ -1,12 +1,11 @@
 """The warm-up: a second process that compiles while this one imports, estimates and
-compiles the rest. Of a call that holds roots fixed it compiles the loops of proposals
-and the programs of what comes after them, of one whose root is uncertain the loops that
-weight limbs. Numba compiles under one lock, so that threads do not help; both processes
-share its cache, and JAX's.
+compiles the rest: first the loops of proposals, or those that weight limbs where the
+root is uncertain, then the programs of what comes after them. Numba compiles under one
+lock, so that threads do not help; both processes share its cache, and JAX's.
 
-    begin("fixed")  # at the start of a command that draws, before anything heavy is
-    imported wait()          # before the first proposal finish()        # before a
-    result is made of draws
+    begin("fixed")  # at the start of a command that draws, before heavy imports
+    wait()          # before the first proposal
+    finish()        # before a result is made of draws
 
 Where anything of it fails, this process compiles the loops itself, as it would
 without."""
@@ -17,6 +16,7 @@ import select
 import subprocess
 import sys
 import threading
+from typing import Any
 
 from poseterior.inference.exact.loops.cache_folder import FOLDER
 
@@ -116,9 +116,9 @@ def signatures() -> dict[str, tuple]:
     return {name: tuple(map(numba.typeof, values)) for name, values in given.items()}
 
 
-def programs() -> None:
-    """Has JAX compile what a result is made of, for an embedded example: its programs
-    serve every detection."""
+def programs(root: str) -> None:
+    """Has JAX compile what a result of this kind of root is made of, for an embedded
+    example: its programs serve every detection."""
     import numpy as np
 
     from poseterior.inference.draws import Draws, KnownRoots
@@ -128,37 +128,64 @@ def programs() -> None:
     from poseterior.probmodel.example import example
     from poseterior.probmodel.model import PoseModel
     from poseterior.probmodel.pose import Pose
-    from poseterior.probmodel.root_priors import CANDIDATES
+    from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 
-    posterior = estimate_torso(example().detection).posterior(PoseModel.paper(), CANDIDATES)
-    number = len(posterior.candidates)
-    known = KnownRoots(np.arange(number), np.ones(number) / number, lambda rows: (0.0, 0.0))
-    points, poses = np.arange(number), Pose.blank(number)
+    model = PoseModel.paper() if root == "fixed" else PoseModel()
+    estimate = estimate_torso(example().detection)
+    number = len(estimate.candidates)
+    points: Any = np.arange(number)
+    poses = Pose.blank(number)
+    posterior = estimate.posterior(model, CANDIDATES)
+    if root == "uncertain":
+        points = posterior.root_prior.points(points)
+        posterior = estimate.posterior(model, UNCERTAIN)
+    known = KnownRoots(points, np.ones(number) / number, lambda rows: (0.0, 0.0))
     about = {"seed": "0 0", "log_evidence": 0.0, "log_evidence_se": 0.0}
     tree_of(Draws(posterior, points, poses, Faults.none(number), known, about)).load()
 
 
 def weight_limbs() -> None:
-    """Has numba compile what weights limbs, by weighting those of roots that see
-    nothing."""
-    from poseterior.inference.importance.fault_patterns import pool_of
-    from poseterior.probmodel.model import PoseModel
+    """Has numba compile what weights limbs, by weighting those of a root that sees
+    nothing, under a prior without poses: for that of a model JAX would compile first."""
+    import numpy as np
 
-    pool_of(PoseModel.paper())
+    from poseterior.inference.exact.groups import GroupTables
+    from poseterior.inference.exact.loops.tables import CELLS, LimbTables
+    from poseterior.inference.importance.limbs import LimbSampling, blind, weigh_limbs
+    from poseterior.probmodel.anatomy.limits import NUM_AZIMUTH, NUM_ELEVATION
+    from poseterior.probmodel.errors.likelihood import PAPER
+    from poseterior.probmodel.skeleton import GROUPS
+
+    cells = np.zeros(NUM_AZIMUTH * NUM_ELEVATION, CELLS)
+    tables = {}
+    for name, limbs in GROUPS.items():
+        bones = len(limbs[0].bones)
+        limb = LimbTables(cells, (0.0,) * 6, False, False, bones)
+        lengths = np.tile([0.0, 1.0, 2.0, 2.0], (bones, 1))
+        tables[name] = GroupTables((limb,) * len(limbs), lengths)
+    views = blind(1)
+    sampling = LimbSampling(tables, {}, [0, 0], PAPER.law, {1: (1, 2), 2: (1, 2)})
+    weigh_limbs(sampling, views, np.zeros(views.reach.shape, bool), 0)
 
 
-def main(root: str) -> None:
-    """What the other process does."""
-    if root == "uncertain":
-        weight_limbs()
-        return
+def propose() -> None:
+    """Has numba compile the loops of proposals."""
     from poseterior.inference.exact.loops import proposals
 
     for name, types in signatures().items():
         getattr(proposals, name).compile(types)
+
+
+LOOPS = {"fixed": propose, "uncertain": weight_limbs}
+"""By the kind of root: what compiles its loops."""
+
+
+def main(root: str) -> None:
+    """What the other process does."""
+    LOOPS[root]()
     os.write(1, READY)
     if os.environ.get("POSETERIOR_PROGRAMS"):  # else they would be compiled for this process alone
-        programs()
+        programs(root)
 
 
 if __name__ == "__main__":

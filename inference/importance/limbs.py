@@ -339,25 +339,36 @@ def free_groups(posterior: Posterior, words: list[int]) -> dict[str, GroupDraws]
 def prior_poses(model: PoseModel, words: list[int], *, lower: bool = True) -> Pose:
     """`POOL_SIZE` draws of the prior, those of the lower bones left blank where these
     are not asked for: of detectors that say nothing of the head."""
-    key = np.array(words, np.uint32)
-    if lower:
-        return Pose(*map(np.asarray, _prior(model, key)))
-    length, upper = map(np.asarray, _prior_above(model, key))
-    return Pose(length, upper, Pose.blank(POOL_SIZE).lower)
+    # Directions first: JAX compiles them while the other process compiles the loops.
+    directions = _directions if lower else _upper_directions
+    upper, *rest = map(np.asarray, directions(model, np.array(words, np.uint32)))
+    return Pose(_prior_lengths(model, words), upper, *rest or [Pose.blank(POOL_SIZE).lower])
+
+
+def _prior_lengths(model: PoseModel, words: list[int]) -> np.ndarray:
+    """`(POOL_SIZE, 5)`: bone lengths of the prior, by the loop that has those of every
+    root; what JAX makes of Beta's draws compiles for three seconds."""
+    warm_up.wait()
+    states = seeded_rows(words, np.array([[0, len(GROUPS)]]))  # after those of the root's groups
+    columns = np.stack([np.asarray(field, float) for field in model.lengths], axis=1)
+    lengths = np.empty((len(columns), 1, POOL_SIZE))
+    for parameters, column in zip(columns.tolist(), lengths, strict=True):
+        draw_length_rows(states, length_bins(*parameters, 1), column)
+    return np.ascontiguousarray(lengths[:, 0].T)
 
 
 @kept
-def _prior(model: PoseModel, words: ArrayLike) -> tuple[jax.Array, ...]:
-    """As a tuple, whose program can be kept: tracing it takes longer than all that it
-    draws."""
-    return tuple(model.draw(jax.random.wrap_key_data(jnp.asarray(words)), POOL_SIZE))
+def _directions(model: PoseModel, words: ArrayLike) -> tuple[jax.Array, ...]:
+    """Upper and lower ones; as a tuple, whose program can be kept: tracing it takes
+    longer than all that it draws."""
+    return tuple(model.draw(jax.random.wrap_key_data(jnp.asarray(words)), POOL_SIZE)[1:])
 
 
 @kept
-def _prior_above(model: PoseModel, words: ArrayLike) -> tuple[jax.Array, ...]:
-    """The same lengths and upper bones; compiled in half the time, which a first call
-    waits for."""
-    return tuple(model.draw(jax.random.wrap_key_data(jnp.asarray(words)), POOL_SIZE)[:2])
+def _upper_directions(model: PoseModel, words: ArrayLike) -> tuple[jax.Array, ...]:
+    """The same upper ones; compiled in a third of the time, which a first call waits
+    for."""
+    return tuple(model.draw(jax.random.wrap_key_data(jnp.asarray(words)), POOL_SIZE)[1:2])
 
 
 def log_evidence(found: dict[str, LimbDraws]) -> float:

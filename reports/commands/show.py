@@ -48,6 +48,7 @@ def _show_reading(settings: ShowSettings, screen: Screen) -> Path:
     with console.progress("reading", screen.quiet):
         people, person = settings.person.people, settings.person.detection
         model = settings.prior.model()
+        settings.estimation.estimating(model)([])  # of nobody: settings are refused at once
     with console.progress("weighing other readings", screen.quiet):
         judge, sizes = Judge(model), doubts.size_is_open(person, settings.person.detected)
         alone = judge.file([person], sizes=sizes)
@@ -72,8 +73,6 @@ def _show_reading(settings: ShowSettings, screen: Screen) -> Path:
 
 def _radius(person: Detection, estimation: Estimation, model: PoseModel) -> np.ndarray | None:
     """`(15,)` pixels; None where the torso is not seen well enough for a scale."""
-    # Without anybody, so that only settings are refused.
-    estimation.estimating(model)([])
     try:
         frame = estimation.estimate(person, model)
     except BadInput:

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
-import arviz as az
+import lazy_loader
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from poseterior.probmodel import BadInput, Estimate, Likelihood, PoseModel
 from poseterior.probmodel.errors.laws import Gaussian
 from tests.scenes import key
 
+az = lazy_loader.load("arviz")  # a second, for which other tests need not wait
 AXIS, CHAINS, LAW = "one axis", "chains", "a law that is not flat"
 NOTHING: tuple[str, ...] = ()
 SUMMARIES = (

@@ -35,13 +35,21 @@ from tests.probmodel.test_formats_readers import LUNGE
 from tests.scenes import key, motion_scene
 from tests.sweeps import sweep
 
-MODEL = PoseModel.from_anatomy(Anatomy.default())
-JUDGE = Judge(MODEL)
 EVERYONE = 10
 
 
+@functools.cache
+def model() -> PoseModel:
+    return PoseModel.from_anatomy(Anatomy.default())
+
+
+@functools.cache
+def judging() -> Judge:
+    return Judge(model())
+
+
 def verdict(*people: Detection, sizes: bool = False) -> Verdict:
-    return JUDGE.file(people, sizes=sizes)
+    return judging().file(people, sizes=sizes)
 
 
 def standing(layout=COCO_17) -> Detection:
@@ -73,9 +81,9 @@ def test_the_cheap_evidence_is_the_exact_samplers(shared_data: Path) -> None:
         detection = exchanged(frame.detection, *parts)
         wide = Estimate(detection, frame.candidates, Likelihood(factor=2 * NOISE))
         result = inference.sample(
-            MODEL, wide, key=key(0), num_samples=300, max_proposals=30_000_000, root="candidates"
+            model(), wide, key=key(0), num_samples=300, max_proposals=30_000_000, root="candidates"
         )
-        arms, legs = JUDGE._under(detection, frame.candidates[0])[2:]
+        arms, legs = judging()._under(detection, frame.candidates[0])[2:]
         pairs.append((float(result.tree.attrs["log_evidence"]) - 8 * np.log(2), arms[0] + legs[0]))
     np.testing.assert_allclose(*np.array(pairs).T, atol=2.5)
 
@@ -106,9 +114,9 @@ def test_joints_alone_cannot_tell_left_from_right(shared_data: Path) -> None:
     draws. So is the mirror image's."""
     differences = []
     for view in scenes(shared_data)[:2]:
-        usual = JUDGE.evidence(view.detection).body(0, 0)
-        differences += [JUDGE.evidence(exchanged(view.detection, *BODY)).body(0, 0) - usual]
-        differences += [JUDGE.evidence(mirrored(view.detection, 0)).body(0, 0) - usual]
+        usual = judging().evidence(view.detection).body(0, 0)
+        differences += [judging().evidence(exchanged(view.detection, *BODY)).body(0, 0) - usual]
+        differences += [judging().evidence(mirrored(view.detection, 0)).body(0, 0) - usual]
     assert np.median(np.abs(differences)) < 0.6
     assert np.max(np.abs(differences)) < BETTER_BY + 1
 
@@ -169,7 +177,7 @@ def test_people_too_little_of_whom_is_seen_are_skipped_and_counted() -> None:
     hand = dataclasses.replace(
         person, keypoints=np.where(score[:, None] > 0, person.keypoints, np.nan), score=score
     )
-    said = judge([hand, person], MODEL)
+    said = judge([hand, person], model())
     assert len(said.gains) == 1
     assert len(said.skipped) == 1
     assert verdict(hand).noticed == ()
@@ -195,15 +203,17 @@ def test_the_reports_shortcut_is_the_judges_own_verdict(shared_data: Path) -> No
     symmetry: the same as judging them anew, but for the noise of the draws."""
     for view in scenes(shared_data)[:3]:
         usual, opposed, whole = (
-            JUDGE.evidence(exchanged(view.detection, *p)) for p in ((), ("shoulder",), BODY)
+            judging().evidence(exchanged(view.detection, *p)) for p in ((), ("shoulder",), BODY)
         )
         for reading in READINGS:
             short = seen_as(reading.name, view.detection, usual, opposed, whole).gains[
                 0, : len(READINGS)
             ]
-            anew = JUDGE.verdict(exchanged(view.detection, *reading.parts)).gains[
-                0, : len(READINGS)
-            ]
+            anew = (
+                judging()
+                .verdict(exchanged(view.detection, *reading.parts))
+                .gains[0, : len(READINGS)]
+            )
             near = np.minimum(
                 np.abs(short - anew), np.abs(np.clip(short, -8, 8) - np.clip(anew, -8, 8))
             )

@@ -8,8 +8,10 @@ import gc
 import math
 import weakref
 
+import jax
 import numpy as np
 import pytest
+from scipy import stats
 
 from poseterior.inference.exact.groups import memoised_by_model
 from poseterior.inference.exact.loops import gaussian
@@ -28,6 +30,7 @@ from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.kinematics import upper_axes
+from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.posterior import Posterior
 from tests.inference.test_uncertain_root import scales_apart, small_case
 from tests.scenes import key, prior_scene
@@ -122,21 +125,38 @@ def test_draws_that_judge_are_draws_of_the_prior(limits: str) -> None:
     are found out."""
     model = PoseModel.from_anatomy(Anatomy.embedded(limits))
     pool = pool_of(model).astype(float)
-    truth = placed_pool(model)
+    truth = placed(model, jax.jit(lambda key: model.draw(key, POOL_SIZE))(key(5)))
+    judges = placed(model, prior_poses(model, [3, 4]))
     for limb, chained in enumerate(CHAINED):
         number = len(np.unique(pool[:, limb, 1], axis=1).T)
         assert number > POOL_SIZE / 2
+        assert apart(judges[:, limb], truth[:, limb], POOL_SIZE) < 5
         assert apart(pool[:, limb], truth[:, limb], number) < 5
         assert apart(-pool[:, limb], truth[:, limb], number) > 20
         assert (pool[:, limb, 0] == pool[:, limb, 1]).all() == (not chained)
 
 
-def placed_pool(model: PoseModel) -> np.ndarray:
-    """As `pool_of`, by the prior's draws and the model's joints."""
-    poses, torso = prior_poses(model, [3, 4]), np.asarray(model.torsos)[0]
-    above = prior_poses(model, [3, 4], lower=False)
-    np.testing.assert_allclose(above.length, poses.length, rtol=1e-12)
-    np.testing.assert_allclose(above.upper, poses.upper, atol=1e-12)
+def test_limbs_that_nobody_saw_have_the_lengths_of_the_prior() -> None:
+    """Each bone's by the distribution function of SciPy's Beta (Kolmogorov and Smirnov, five of
+    them: false alarms 1e-3), independent of the others (ten correlations: false alarms 1e-3). Where
+    parameters are half as large again, all five are found out."""
+    model = PoseModel()
+    low, high, alpha, beta = map(np.asarray, model.lengths)
+    fraction = (prior_poses(model, [3, 4], lower=False).length - low) / (high - low)
+
+    def p_values(times: float) -> np.ndarray:
+        law = stats.beta(times * alpha, times * beta)
+        return np.array([stats.kstest(each, "uniform").pvalue for each in law.cdf(fraction).T])
+
+    assert p_values(1.0).min() > 1e-3 / 5
+    assert p_values(1.5).max() < 1e-3 / 5
+    others = np.corrcoef(fraction.T)[np.triu_indices(5, 1)]
+    assert np.abs(others).max() < stats.norm.isf(1e-3 / 2 / 10) / math.sqrt(POOL_SIZE)
+
+
+def placed(model: PoseModel, poses: Pose) -> np.ndarray:
+    """As `pool_of`, by poses and the model's joints."""
+    torso = np.asarray(model.torsos)[0]
     joints = np.asarray(model.joints(torso, *poses))
     starts = np.array([limb.bones[0].start for limb in LIMBS])
     axes = np.asarray(upper_axes(torso))[[limb.upper for limb in LIMBS]]

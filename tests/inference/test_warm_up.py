@@ -75,7 +75,7 @@ OTHER = [sys.executable, "-P", "-m", "poseterior.inference.exact.warm_up"]
 
 def where_nothing_is_kept(folder: Path) -> dict:
     """How a process is run that keeps its loops in a folder of its own."""
-    own = {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(Path(proposals.__file__).parents[3])}
+    own = {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(Path(proposals.__file__).parents[4])}
     return {"env": {**os.environ, **own, "JAX_ENABLE_X64": "1"}}
 
 

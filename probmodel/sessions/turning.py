@@ -11,9 +11,9 @@ import numpy as np
 from poseterior.probmodel.sessions.session import Session
 from poseterior.probmodel.sessions.timing import (
     FEWEST_CAMERAS,
-    FEWEST_FRAMES,
     HANG_TOGETHER,
     NORMAL,
+    SHORTEST_SESSION,
     lags_of,
 )
 from poseterior.probmodel.skeleton import NUM_JOINTS
@@ -25,7 +25,7 @@ TURNED_SELDOM = 0.02
 """How probable it is of each camera, before anything was seen."""
 BEYOND_DOUBT = 0.75
 """How probable it has to be that a camera is turned before it is named."""
-EXACT = 1e-6
+NO_ERROR = 1e-6
 """Radians: errors that are smaller are none."""
 _FAR = 3.0
 """Standard deviations from which a residual counts less."""
@@ -73,10 +73,10 @@ def turns_of(session: Session) -> Turns | None:
     Returns
     -------
     Turns or None
-        None with fewer than `FEWEST_CAMERAS` cameras or `FEWEST_FRAMES` frames.
+        None with fewer than `FEWEST_CAMERAS` cameras or `SHORTEST_SESSION` frames.
     """
     number = len(session.cameras)
-    if number < FEWEST_CAMERAS or len(session) < FEWEST_FRAMES:
+    if number < FEWEST_CAMERAS or len(session) < SHORTEST_SESSION:
         return None
     precision, pull = _information(session)
     usual, turned = np.radians([AS_CALIBRATED, TURNED_BY])
@@ -119,7 +119,7 @@ def _information(session: Session) -> tuple[np.ndarray, np.ndarray]:
     sizes = [np.nanmedian(np.abs(part)) for part in (off - usual, usual - common)]
     # Of a joint's 2 C numbers its place takes three.
     freedom = 1 - 3 / (2 * views)
-    quick, lasting = np.maximum(NORMAL * np.array(sizes), EXACT) ** 2 / freedom
+    quick, lasting = np.maximum(NORMAL * np.array(sizes), NO_ERROR) ** 2 / freedom
     far = np.sum((off - usual) ** 2, axis=-1) / quick
     trust = np.where(np.isfinite(far), 1 / np.sqrt(1 + far / _FAR**2), 0.0)
     weight = np.repeat(trust, 2, axis=-1)[..., None] / np.sqrt(quick * HANG_TOGETHER)

@@ -25,6 +25,8 @@ TURNED_SELDOM = 0.02
 """How probable it is of each camera, before anything was seen."""
 BEYOND_DOUBT = 0.75
 """How probable it has to be that a camera is turned before it is named."""
+OTHERWISE_WRONG = 4.0
+"""Degrees: folders whose cameras are exchanged look like more."""
 NO_ERROR = 1e-6
 """Radians: errors that are smaller are none."""
 _FAR = 3.0
@@ -41,8 +43,9 @@ class Turns(NamedTuple):
 
     @property
     def sure(self) -> np.ndarray:
-        """`(C,)`: whether a camera is held to be turned; one at most."""
-        return self.probability > BEYOND_DOUBT
+        """`(C,)`: whether a camera is held to be turned; one at most, and none that would be turned
+        by so much that something else is wrong."""
+        return (self.probability > BEYOND_DOUBT) & (self.degrees < OTHERWISE_WRONG)
 
     def said(self, labels: Sequence[str], used: Collection[str] | None = None) -> list[str]:
         """A sentence for the camera that is turned, if one is, and is `used`: all are, if none are

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from poseterior.probmodel import BadInput
 from poseterior.probmodel.sessions import Session, read_session
 from poseterior.probmodel.sessions.turning import AS_CALIBRATED, said_of, turns_of
 from poseterior.probmodel.skeleton import NUM_JOINTS
-from tests.filmed import cameras, filmed, moving
+from tests.filmed import cameras, filmed, moving, write_session
 from tests.probmodel.test_sessions import walking
 
 FRAMES = 100
@@ -84,6 +85,13 @@ def test_of_few_cameras_or_frames_nothing_is_said_of_their_turns() -> None:
 def test_a_late_camera_is_called_late() -> None:
     [said] = said_of(walking(late=5))
     assert "frames behind the other cameras" in said
+
+
+@pytest.mark.slow
+def test_a_session_that_is_refused_says_which_camera_is_turned(tmp_path: Path) -> None:
+    write_session(walked(0, camera=2), tmp_path)
+    with pytest.raises(BadInput, match=r"views meet; cam3_json is turned by 2\.\d degrees"):
+        read_session(tmp_path)
 
 
 @pytest.mark.slow

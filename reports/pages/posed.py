@@ -29,7 +29,7 @@ from poseterior.probmodel.skeleton import NUM_JOINTS
 from poseterior.reports.pages.page import kept_json
 from poseterior.reports.tables import Column, Sheet, sheet_of
 
-POSED, MISPOSED = {2: 60, 4: 40}, 40
+POSED, MISPOSED = {2: 100, 4: 80}, 40
 """Bodies by the number of cameras, and those of each wrong posterior, with four."""
 POSED_DRAWS, POSED_AT_ONCE = 400, 20
 POSED_SCORE, EVERY = 0.8, range(NUM_JOINTS)

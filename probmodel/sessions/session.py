@@ -448,10 +448,16 @@ def _matched(
             kept.append(number)
             people.append(chosen)
     if 2 * len(kept) < len(numbers) or not kept:
+        from poseterior.probmodel.sessions.turning import said_of  # which needs sessions itself
+
+        whole = Session(path.name, cameras, labels, tuple(complete), tuple(map(tuple, first)))
+        advice = (
+            "check that the calibration is of these cameras, in the order of the folders' names,"
+            " and that they are synchronised"
+        )
         raise BadInput(
             f"in {len(numbers) - len(kept)} of {len(numbers)} frames of {path} no person is where"
-            " the cameras' views meet; check that the calibration is of these cameras, in the order"
-            " of the folders' names, and that they are synchronised"
+            f" the cameras' views meet; {'; if not, '.join([*said_of(whole), advice])}"
         )
     by_camera = tuple(zip(*people, strict=True))
     return Session(

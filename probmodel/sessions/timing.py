@@ -9,7 +9,7 @@ import numpy as np
 from poseterior.probmodel.sessions.pinhole import Pinhole
 from poseterior.probmodel.sessions.session import Session, seen_without
 
-FEWEST_CAMERAS, FEWEST_FRAMES = 3, 30
+FEWEST_CAMERAS, SHORTEST_SESSION = 3, 30
 """With which anything is said."""
 HANG_TOGETHER = 15
 """Frames whose errors hang together."""
@@ -61,7 +61,7 @@ def lags_of(session: Session) -> Lags | None:
     all are asked anew.
     """
     number, total = len(session.cameras), len(session)
-    if number < FEWEST_CAMERAS or total < FEWEST_FRAMES:
+    if number < FEWEST_CAMERAS or total < SHORTEST_SESSION:
         return None
     times = np.array(session.numbers, float)
     lag = np.zeros(number)

@@ -16,7 +16,7 @@ from poseterior.inference.studies.errorlaws import (
 from poseterior.probmodel import BadInput
 from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions import Session
-from poseterior.probmodel.sessions.timing import lags_of
+from poseterior.probmodel.sessions.turning import said_of
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.errorlaws import residuals_figure
@@ -55,9 +55,8 @@ def run(settings: CalibrateSettings, screen: Screen) -> None:
     save_figure(residuals_figure(found), picture)
     if not found.fit.converged:
         console.warn("the fit did not come to rest; its last step is written: take more frames")
-    if isinstance(settings.data, Session) and (lags := lags_of(settings.data)):
-        for sentence in lags.said(settings.data.labels):
-            console.warn(sentence)
+    for sentence in said_of(settings.data) if isinstance(settings.data, Session) else ():
+        console.warn(sentence)
     show(found, screen, times)
     if not screen.json:
         console.say(f"Written to {out} and {picture}")

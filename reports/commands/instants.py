@@ -9,7 +9,7 @@ from poseterior.inference.hypothesis import Hypothesis, hypotheses
 from poseterior.inference.instants import sample_instant
 from poseterior.probmodel.failures import OutOfBudget
 from poseterior.probmodel.level import doubtful
-from poseterior.probmodel.sessions.timing import lags_of
+from poseterior.probmodel.sessions.turning import said_of
 from poseterior.reports import console
 from poseterior.reports.figures import save_figure
 from poseterior.reports.figures.views import views_figure
@@ -25,11 +25,10 @@ def run(settings: HypothesesSettings, screen: Screen) -> None:
     sampling = settings.sampling
     with console.progress("the session", screen.quiet):
         session = settings.session
-        instant, lags = settings.instant(session), lags_of(session)
+        instant = settings.instant(session)
         model = settings.prior.model(rooted=True)
-    used = [view.label for view in instant.views]
-    said = lags.said(session.labels, used) if lags else []
-    for sentence in [*said, *doubtful(*instant.up)]:
+        wrong = said_of(session, [view.label for view in instant.views])
+    for sentence in [*wrong, *doubtful(*instant.up)]:
         console.warn(sentence)
     out = console.output_folder(settings.out)
     with console.progress("bodies and their limbs", screen.quiet) as step:

@@ -16,23 +16,27 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
 
 from poseterior.inference.draws import Draws
 from poseterior.inference.importance.views.weighted import WeightedViews
+from poseterior.inference.importance.weighted import FEWEST_EFFECTIVE
 from poseterior.inference.studies.intervals import TAIL, Interval, of_share
 from poseterior.probmodel import DetectorErrors, Likelihood, PoseModel
 from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, ORDERS
 from poseterior.probmodel.instant import CameraView, Instant
 from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions import Session
-from poseterior.probmodel.sessions.session import HIPS, joints_seen
+from poseterior.probmodel.sessions.session import ASSUMED_POINTING, HIPS, joints_seen
 from poseterior.probmodel.sessions.timing import lags_of
+from poseterior.probmodel.sessions.turning import turns_of
 from poseterior.probmodel.skeleton import JOINT_INDEX, LIMB_JOINTS
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
 from poseterior.reports.pages.filmed import PARTS, Film, film, learn_as
 from poseterior.reports.pages.honest import STRETCH
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
+from poseterior.reports.pages.posed import posed_table
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.frames import BELIEVED
 
@@ -56,6 +60,8 @@ MOVED = {"a wrist moved": 0.5, "a wrist moved far": 1.0}
 """Body units by which a wrist's keypoint is moved."""
 PLANTED_LAGS = 5, -5
 """Frames by which one camera is behind the others."""
+PLANTED_TURNS = list(itertools.product(range(2), (2.0, -2.0)))
+"""About which of a camera's axes, and by how many degrees, it is turned."""
 PLANTED = UNTOUCHED, *MOVED, EXCHANGED_LEGS
 
 
@@ -318,6 +324,35 @@ def lag_table(session: Session) -> Sheet:
     return sheet_of(head, rows)
 
 
+def turned_aside(session: Session, camera: int, axis: int, degrees: float) -> Session:
+    """A session whose calibration has one camera turned."""
+    views = list(session.cameras)
+    turn = Rotation.from_euler("xyz"[axis], degrees, degrees=True).as_matrix()
+    views[camera] = dataclasses.replace(views[camera], rotation=turn @ views[camera].rotation)
+    return dataclasses.replace(session, cameras=tuple(views))
+
+
+def turn_table(session: Session) -> Sheet:
+    """How probable it is of each camera that it is turned, where one is and where none is."""
+    cases = {"none": session}
+    for camera, label in enumerate(session.labels):
+        for axis, degrees in PLANTED_TURNS:
+            name = f"{label}, {degrees:+g}° about {'xyz'[axis]}".replace("-", "−")
+            cases[name] = turned_aside(session, camera, axis, degrees)
+    rows = []
+    for name, case in cases.items():
+        turns = turns_of(case)
+        assert turns is not None
+        cells = []
+        for found in zip(turns.probability, turns.degrees, turns.error, turns.sure, strict=True):
+            probability, degrees, error, sure = found
+            size = f" ({degrees:.1f} ± {2 * error:.1f}°)" if sure else ""
+            cells.append(f"**{probability:.2f}**{size}" if sure else f"{probability:.2f}")
+        rows.append([name, *cells])
+    head = [Column("planted", left=True), *map(Column, session.labels)]
+    return sheet_of(head, rows)
+
+
 def price_of_an_outlier(given: list[Beliefs]) -> dict[str, str]:
     """How many nats it costs to call a right wrist's keypoint an outlier, and how many standard
     deviations a body unit is there."""
@@ -450,6 +485,10 @@ def main(data: Data, work: Work) -> Page:
         "faulty": FAULTY_FRAMES,
         "moved": " and ".join(f"{far:g}" for far in MOVED.values()),
         "lags": lag_table(seen.session),
+        "turns": turn_table(seen.session),
+        "posed": posed_table(work),
+        "assumed": f"{ASSUMED_POINTING:g}",
+        "fewest": FEWEST_EFFECTIVE,
         **price_of_an_outlier(given),
     }
     return Page("cameras", values, {"cameras": coverage_figure(sets[2] | sets[3])})

@@ -18,8 +18,8 @@ from poseterior.inference.importance.views.aims import (
     Reach,
     SpatialAim,
     aim_of,
+    aimed_density,
     draw_direction,
-    log_aimed,
     modes_of,
     with_next,
 )
@@ -121,7 +121,7 @@ def _propose(
     alone = (pick >= AIMED).astype(int)
     along = jnp.where(alone == 1, (pick - AIMED) / ALONE, pick / AIMED)
     own, axes = _at(modes, alone), aims.axes[alone]
-    share = jnp.exp(own.log_share[0])
+    share = own.share[0]
     aimed = axes @ draw_direction(own, (along >= share).astype(int), uniforms[1:])
     return jnp.where(pick >= AIMED + ALONE, of_prior, aimed)
 
@@ -130,11 +130,9 @@ def _log_proposal(
     direction: jax.Array, modes: AimModes, aims: SpatialAim, seen: jax.Array, of_prior: jax.Array
 ) -> jax.Array:
     """`()`: log density per steradian of the mixture; `of_prior` is that of the prior's part."""
-    aimed = [log_aimed(_at(modes, row), aims.axes[row].T @ direction) for row in (0, 1)]
-    mixed = jnp.stack(
-        [jnp.log(AIMED) + aimed[0], jnp.log(ALONE) + aimed[1], jnp.log(OF_PRIOR) + of_prior]
-    )
-    return jnp.where(seen, jax.nn.logsumexp(mixed), of_prior)
+    every, alone = (aimed_density(_at(modes, row), aims.axes[row].T @ direction) for row in (0, 1))
+    mixed = jnp.log(AIMED * every + ALONE * alone + OF_PRIOR * jnp.exp(of_prior))
+    return jnp.where(seen, mixed, of_prior)
 
 
 def _at(rows: AimModes, row: jax.Array | int) -> AimModes:

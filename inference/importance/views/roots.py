@@ -26,7 +26,7 @@ from poseterior.probmodel.roots import WorldPoint
 from poseterior.probmodel.sessions.session import joints_seen
 from poseterior.probmodel.skeleton import BONES, NUM_JOINTS, TORSO_INDEX
 
-FIT_STEPS = 12
+FIT_STEPS = 8
 ODD_FIT = 2.5
 """Standard deviations beyond which a keypoint counts less and less in a fit."""
 FREEDOM_OF_ROOTS = 20.0
@@ -148,7 +148,7 @@ class BodyProposal:
             parts.append(level + _log_student(normal))
         views = np.arange(len(self.exchange))
         of_exchanges = np.log(self.exchange[views, steps.exchange]).sum(axis=1)
-        return logsumexp(parts, axis=0) + of_exchanges
+        return np.logaddexp.reduce(parts) + of_exchanges
 
     def _plain(self, steps: BodySteps) -> np.ndarray:
         """`(n, D)`: steps in radians, logs, mm, body units and pixels."""
@@ -160,7 +160,8 @@ class BodyProposal:
         worth, number = effective(share), self.centre.shape[1]
         mean = share @ steps.step
         off = steps.step - mean
-        scatter = (off.T * share) @ off / (1 - np.sum(share**2))
+        # One body alone does not scatter.
+        scatter = (off.T * share) @ off / max(1 - 1 / worth, np.finfo(float).eps)
         trust, rigid = worth / (worth + number), worth / (worth + RIGID * number)
         scatter = WIDER * (rigid * scatter + (1 - rigid) * NARROWER * np.eye(number))
         even = self.share[0] / self.share[0].sum()
@@ -228,7 +229,7 @@ def _moved(start: WorldBodies, step: np.ndarray) -> WorldBodies:
 def fitted(posterior: InstantPosterior) -> BodyProposal:
     """The first proposal. Raises `BadInput` where two cameras do not see enough of the torso, or it
     is behind one of them."""
-    points = _triangulated(posterior, range(len(posterior.detection.views)))
+    points, *beside = _triangulated(posterior)
     _require_torso(posterior, points)
     torsos = np.asarray(posterior.model.torsos)
     start = _aligned(torsos, points, posterior.root_prior.pointing.shape)
@@ -238,18 +239,22 @@ def fitted(posterior: InstantPosterior) -> BodyProposal:
     share = np.full(len(torsos), 1 / len(torsos))
     number = factor.shape[-1]
     spread = np.sqrt(WIDER) * np.eye(number)[None]
-    middle, exchanges = np.zeros((1, number)), _exchanges(posterior, points)
+    middle, exchanges = np.zeros((1, number)), _exchanges(posterior, points, beside)
     return BodyProposal(fit, factor, share[None], middle, spread, exchanges)
 
 
-def _triangulated(posterior: InstantPosterior, views: Sequence[int]) -> np.ndarray:
-    """`(15, 3)` mm: the joints as some of the views see them, NaN where fewer than two do."""
-    spread = np.stack([posterior.detected.views[one].spread for one in views])
-    cameras = [posterior.detection.views[one].camera for one in views]
-    counts = np.isfinite(spread)
-    xy = np.where(counts[..., None], posterior.detection.keypoints[list(views)], np.nan)
+def _triangulated(posterior: InstantPosterior) -> np.ndarray:
+    """`(1 + C, 15, 3)` mm: the joints as all views see them, and as all but each do; NaN where
+    fewer than two see one."""
+    instant = posterior.detection
+    spread = np.stack([view.spread for view in posterior.detected.views])
+    counts, number = np.isfinite(spread), len(spread)
+    xy = np.where(counts[..., None], instant.keypoints, np.nan)
     trust = np.where(counts, 1 / spread, 0.0)
-    return joints_seen(cameras, xy[:, None], trust[:, None]).points[0]
+    used = np.column_stack([np.ones(number), 1 - np.eye(number)])
+    every = np.repeat(xy[:, None], 1 + number, axis=1)
+    cameras = [view.camera for view in instant.views]
+    return joints_seen(cameras, every, used[..., None] * trust[:, None]).points
 
 
 def _require_torso(posterior: InstantPosterior, points: np.ndarray) -> None:
@@ -417,15 +422,17 @@ def _flat(slope: np.ndarray) -> np.ndarray:
     return slope.reshape(len(slope), -1, slope.shape[-1])
 
 
-def _exchanges(posterior: InstantPosterior, points: np.ndarray) -> np.ndarray:
+def _exchanges(
+    posterior: InstantPosterior, points: np.ndarray, beside: Sequence[np.ndarray]
+) -> np.ndarray:
     """`(C, 6)`: by which exchanges are proposed: by how near each would bring a view's keypoints to
-    what the others see; to what all see, `points` `(15, 3)`, where there are but two."""
-    number, found = len(posterior.detection.views), []
-    for index, prior in enumerate(posterior.faults.views):
-        others = [one for one in range(number) if one != index]
-        place = points if number < 3 else _triangulated(posterior, others)
+    what the others see, `beside` it, `(15, 3)` each; to what all see, `points`, where there are
+    but two."""
+    found = []
+    for index, (prior, own) in enumerate(zip(posterior.faults.views, beside, strict=True)):
         with np.errstate(divide="ignore"):
-            score = _nearness(posterior, index, place) + np.log(prior.exchange_probabilities)
+            score = _nearness(posterior, index, own if len(beside) > 2 else points)
+            score += np.log(prior.exchange_probabilities)
         share = np.exp(score - logsumexp(score))
         kept = OF_PRIOR_EXCHANGES * prior.exchange_probabilities
         found.append((1 - OF_PRIOR_EXCHANGES) * share + kept)

@@ -105,9 +105,10 @@ class ViewJudge(NamedTuple):
         square = jnp.sum((error - sights.bias) ** 2, axis=-1) / sights.spread**2
         ratio = jnp.stack([law.log_ratio(one) for law, one in zip(self.laws, square, strict=True)])
         peak = jnp.array([law.log_peak for law in self.laws])
-        usual = peak + ratio - 2 * jnp.log(sights.spread * unit)
+        level = -2 * jnp.log(unit)
+        usual = peak + ratio - 2 * jnp.log(sights.spread) + level
         gone = Disc().log_ratio(jnp.sum(error**2, axis=-1) / self.far**2)
-        stray = Disc.log_peak + gone - 2 * jnp.log(self.far * unit)
+        stray = Disc.log_peak + gone - 2 * jnp.log(self.far) + level
         counts, behind = sights.counts, jnp.where(ahead, 0.0, -jnp.inf)
         return jnp.where(counts, usual + behind, 0.0), jnp.where(counts, stray + behind, 0.0)
 
@@ -116,7 +117,7 @@ class ViewJudge(NamedTuple):
         torso's."""
         usual, stray = self.log_densities(sights, point, size)
         share = sights.outlier
-        return jnp.sum(jnp.logaddexp(jnp.log1p(-share) + usual, jnp.log(share) + stray))
+        return jnp.sum(jnp.log((1 - share) * jnp.exp(usual) + share * jnp.exp(stray)))
 
     def torso_options(
         self, sights: Sights, points: jax.Array, size: Any, exchange: jax.Array

@@ -42,6 +42,7 @@ from poseterior.reports.pages.costs import WANTED, costs_of, plot_costs, table_o
 from poseterior.reports.pages.filmed import film
 from poseterior.reports.pages.page import Data, Page, run
 from poseterior.reports.tables import Sheet, sheet_from, sheet_of
+from poseterior.reports.tables.sheet import NOTHING
 
 ROUTE_FRAMES = (10, 30, 50, 70, 90)
 """Of every camera."""
@@ -166,7 +167,7 @@ def table(cases: list[JudgedFrame], found: list[Found]) -> Sheet:
             "cut off": f"{100 * one.exact.cut_off:.1f} %",
             "effective roots": f"{one.effective:.0f}",
             "log evidences apart, se": f"{one.gap:+.1f}",
-            "smallest p, corrected": f"{smallest(fast):.2g}",
+            "smallest p, corrected": f"{smallest(fast):.2g}" if fast.tests else NOTHING,
             "verdict": fast.verdict,
         }
         lines.append(line)

@@ -37,7 +37,7 @@ from poseterior.reports.exports.smoothing import Smoother
 MEAN, HYPOTHESIS = "mean", "hypothesis"
 """What a film is made of: the mean of each frame's draws, made a body again, or the heaviest
 hypothesis."""
-HEIGHT = 1.75
+USUAL_HEIGHT = 1.75
 """Metres, of a person of whom nobody says it."""
 K = 5
 """Hypotheses of a posterior.nc, where nothing else is said."""
@@ -102,7 +102,7 @@ def read_clip(path: Path, wanted: Wanted) -> Clip:
     require_height(wanted.height, found.unit_mm)
     rate = found.rate if wanted.rate is None else wanted.rate
     _require_bodies(found.measured, path)
-    metres = _metres(found, HEIGHT if wanted.height is None else wanted.height)
+    metres = _metres(found, USUAL_HEIGHT if wanted.height is None else wanted.height)
     clip = Clip(
         metres * found.joints,
         found.names,

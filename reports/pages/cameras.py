@@ -25,6 +25,7 @@ from poseterior.inference.studies.intervals import TAIL, Interval, of_share
 from poseterior.probmodel import DetectorErrors, Likelihood, PoseModel
 from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, ORDERS
 from poseterior.probmodel.instant import CameraView, Instant
+from poseterior.probmodel.layouts import without_midpoints
 from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.sessions.session import ASSUMED_POINTING, HIPS, joints_seen
@@ -35,10 +36,13 @@ from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
 from poseterior.reports.pages.filmed import PARTS, Film, film, learn_as
 from poseterior.reports.pages.honest import STRETCH
+from poseterior.reports.pages.measures import within
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
 from poseterior.reports.pages.posed import posed_table
+from poseterior.reports.pages.viewed_measures import measured_beside, scores_of_pairs
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.frames import BELIEVED
+from poseterior.reports.tables.measured import measure_scores_table
 
 JUDGED_FRAMES = 20
 """Instants of the film at which every pair and every three of the cameras are judged."""
@@ -205,6 +209,29 @@ def judged(draws: np.ndarray, truth: TruthOfOthers) -> CameraStanding:
     level = (points + truth.errors < truth.joints).mean(axis=0)
     level = np.where(np.isfinite(truth.joints), level, np.nan)
     return CameraStanding(level, np.abs(points.mean(axis=0) - truth.joints), high - low)
+
+
+def measure_pair(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict[str, Any]:
+    """By way, the standings of measures of a pair of cameras, beside what the others say."""
+    model, session = PoseModel(), seen.session
+    rows = frames_of(session, JUDGED_FRAMES)
+    others = [one for one in range(len(session.cameras)) if one not in cameras]
+    found: dict[str, list[Any]] = {way: [] for way in WAYS} | {"rows": rows}
+    for row in rows:
+        own = given[seen.part_of(row)]
+        rng = np.random.default_rng([row, *cameras, 46])
+        truth = triangulated(session, row, others, own)[0]
+        errors = true_errors(session, row, others, own, rng)
+        mean, doubt = triangulated(session, row, cameras, own)
+        normal = rng.standard_normal((JUDGED_DRAWS, 15, 3))
+        strewn = mean + np.einsum("jab,njb->nja", np.linalg.cholesky(doubt), normal)
+        draws = {
+            FROM_POSTERIOR: draws_of(model, session, row, cameras, own),
+            BY_TRIANGULATION: without_midpoints(strewn, session.midpoints),
+        }
+        for way, joints in draws.items():
+            found[way].append(measured_beside(session, joints, truth, errors, rng))
+    return found
 
 
 def judge_cameras(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> dict[str, Any]:
@@ -448,13 +475,17 @@ def named(cameras: Sequence[int]) -> str:
 
 
 def judge_all(
-    seen: Film, given: list[Beliefs], work: Path, number: int
+    seen: Film,
+    given: list[Beliefs],
+    work: Path,
+    number: int,
+    judge: Callable[..., dict[str, Any]] = judge_cameras,
+    what: str = "cameras",
 ) -> dict[str, dict[str, Any]]:
-    """What every set of so many cameras is worth."""
-    files = {one: work / f"cameras-{''.join(map(str, one))}.json" for one in SETS[number]}
-    return {
-        named(one): kept_json(file, judge_cameras, seen, given, one) for one, file in files.items()
-    }
+    """What every set of so many cameras is worth, as a function judges it; `what` the files that
+    keep it are called."""
+    files = {one: work / f"{what}-{''.join(map(str, one))}.json" for one in SETS[number]}
+    return {named(one): kept_json(file, judge, seen, given, one) for one, file in files.items()}
 
 
 def main(data: Data, work: Work) -> Page:
@@ -472,7 +503,12 @@ def main(data: Data, work: Work) -> Page:
         )
         for kind in PLANTED
     }
+    measured = judge_all(seen, given, work, 2, measure_pair, "measures")
+    scores = {way: scores_of_pairs(measured, way) for way in WAYS}
     values: dict[str, str | int | Sheet] = {
+        "measures": measure_scores_table(scores, caption=""),
+        "measures_within": within(scores[FROM_POSTERIOR]),
+        "triangulated_within": within(scores[BY_TRIANGULATION]),
         "frames": JUDGED_FRAMES,
         "draws": f"{JUDGED_DRAWS:,}",
         "roots": JUDGED_ROOTS,

@@ -415,6 +415,44 @@ def test_no_draws_of_several_views_have_keypoints_of_each(model: PoseModel) -> N
     assert (joints.shape, keypoints.shape) == ((0, 15, 3), (0, 2, 15, 2))
 
 
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """What is asked of weighed roots."""
+
+    log_weight: np.ndarray
+    proposals: int
+    steps: None = None
+
+    @property
+    def effective(self) -> float:
+        return effective(shares(self.log_weight))
+
+
+@pytest.mark.parametrize(
+    ("heavy", "most", "numbers"),
+    [(50.0, None, [60, 240]), (0.0, None, [60]), (50.0, 100, [60]), (50.0, 200, [60, 140])],
+)
+def test_too_few_roots_are_a_pilot_run_for_more(
+    heavy: float, most: int | None, numbers: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where one root has all the weight, and where the budget has room; it all counts as spent."""
+    asked: list[int] = []
+
+    def weigh(posterior: object, proposal: object, key: object, number: int, *_: object) -> Run:
+        asked.append(number)
+        alone = heavy if number == 60 else 0.0
+        return Run(np.where(np.arange(number) == 0, alone, 0.0), number)
+
+    proposal = SimpleNamespace(refined=lambda steps, share: proposal)
+    monkeypatch.setattr(weighted, "fitted", lambda posterior: proposal)
+    monkeypatch.setattr(weighted, "pooled", lambda pilots: (None, np.zeros(200)))
+    monkeypatch.setattr(weighted, "weigh", weigh)
+    found = weigh_refined(SimpleNamespace(), jax.random.key(0), 60, most=most)
+    assert asked == [weighted.PILOT_BODIES, *numbers]
+    assert len(found.log_weight) == numbers[-1]
+    assert found.proposals == sum(asked)
+
+
 def evidence_by_the_prior(posterior, key: int, number: int) -> tuple[float, float]:
     """The evidence by importance sampling with the program's log joint: root and lengths as the
     product proposes them, directions from the prior. Log, and its standard error."""

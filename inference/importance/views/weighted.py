@@ -66,6 +66,8 @@ PILOT_EFFECTIVE, PILOT_SHARE = 40, 1 / 6
 until they are as many."""
 PILOT_ENOUGH = 100
 """Effective roots after which there is no further run."""
+TIMES_AS_MANY = 4
+"""Roots of a further run, where one with too few effective ones shows where more are needed."""
 BODIES_AT_ONCE = 50
 """Roots that a program takes at a time, which bounds the memory."""
 LIMBS_OF_BODY = PER_LIMB * len(UPPER_BONES)
@@ -162,9 +164,15 @@ def pooled(pilots: Sequence[tuple[BodyProposal, WeighedRoots]]) -> tuple[BodySte
 
 
 def weigh_refined(
-    posterior: InstantPosterior, key: jax.Array, number: int, progress: Progress | None = None
+    posterior: InstantPosterior,
+    key: jax.Array,
+    number: int,
+    progress: Progress | None = None,
+    most: int | None = None,
 ) -> WeighedRoots:
-    """So many bodies of a proposal that pilot runs have refined. Raises `BadInput` as `fitted`."""
+    """So many bodies of a proposal that pilot runs have refined. Where fewer than
+    `FEWEST_EFFECTIVE` of them are effective, they are one more pilot run, for `TIMES_AS_MANY`
+    bodies, or for the `most` that are left. Raises `BadInput` as `fitted`."""
     proposal, pilots = fitted(posterior), []
     for run in range(PILOT_RUNS):
         pilot = weigh(posterior, proposal, jax.random.fold_in(key, run), PILOT_BODIES)
@@ -177,6 +185,12 @@ def weigh_refined(
             break
     found = weigh(posterior, proposal, jax.random.fold_in(key, PILOT_RUNS), number, progress)
     spent = sum(pilot.proposals for _, pilot in pilots)
+    more = TIMES_AS_MANY * number if most is None else min(TIMES_AS_MANY * number, most - number)
+    if 0 < found.effective < FEWEST_EFFECTIVE and more > number:
+        spent += found.proposals
+        proposal = proposal.refined(found.steps, tempered(found.log_weight, PILOT_EFFECTIVE))
+        further = jax.random.fold_in(key, PILOT_RUNS + 1)
+        found = weigh(posterior, proposal, further, more, progress)
     return dataclasses.replace(found, proposals=found.proposals + spent)
 
 
@@ -216,6 +230,7 @@ class WeightedViews(Sampler):
             jax.random.fold_in(key, 0),
             max(1, min(self.num_roots, afforded)),
             progress,
+            afforded,
         )
         about = {"num_roots": len(roots.log_weight)}
         yield from blocks_of(roots, verdict(roots, self.num_roots), about, key, number, block)

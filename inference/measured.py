@@ -31,8 +31,6 @@ SHORTEST_PERSON, TALLEST_PERSON = 0.2, 3.0
 PROBABILITY = 0.95
 MOST_MODES = 2
 """Of a measure, at most, that are told apart."""
-UNIT_MM = "unit_mm"
-"""The attribute of a stream of calibrated cameras that says its unit; its joints are level."""
 _SAMPLED = ("chain", "draw")
 _SUMMARY = ("mean", "sd", "low", "high")
 _ADVICE = "give a posterior.nc, its folder, or that of a stream of `poseterior frames`"
@@ -56,9 +54,9 @@ def measures(
         that have a name where there are none.
     height
         The person's, in metres, if it is known: lengths are then in millimetres, as those of
-        calibrated cameras always are. Every draw is
-        scaled to it, head, back, upper and lower leg and a tenth for feet and hips; as sizes are
-        equally probable on a log scale before, that is the posterior given the height.
+        calibrated cameras always are. Every draw is scaled to it, head, back, upper and lower leg
+        and a tenth for feet and hips; as sizes are equally probable on a log scale before, that is
+        the posterior given the height.
 
     Returns
     -------
@@ -109,8 +107,6 @@ def require_height(height: float | None, unit_mm: float | None) -> None:
 
 def known_unit(about: Mapping[Any, Any]) -> float | None:
     """Millimetres of the unit of a result's joints, by its attributes; None where nobody knows."""
-    if UNIT_MM in about:
-        return float(about[UNIT_MM])
     return 1.0 if about.get("root") == WORLD else None
 
 
@@ -118,7 +114,7 @@ def level(joints: np.ndarray, about: Mapping[Any, Any]) -> np.ndarray:
     """Joints `(..., 15, 3)` of a result, by its attributes, in axes in which measures are told: a
     camera's, or those of a world with y down. Raises `BadInput` where it does not say which way is
     up."""
-    if UNIT_MM in about or about.get("root") != WORLD:
+    if about.get("root") != WORLD:
         return joints
     return joints @ level_axes(str(about.get("up"))).T
 

@@ -428,8 +428,7 @@ class MeasureSettings:
     Measures have the ISB's conventions where fifteen joints determine them; others are written as
     angle(a,b,c), inclination(a,b), distance(a,b), level(a,b), height(a) or depth(a,b) of names of
     joints. Lengths are in body units, with --height, or from calibrated cameras, in millimetres. A
-    stream needs draws that were
-    kept (`frames --keep`)."""
+    stream needs draws that were kept (`frames --keep`)."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "measure result --out measures.csv",

@@ -296,7 +296,7 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
     spread = _spread_out(of_draws.sd.values, rows)
     origin = PELVIS
     if "place" in of_draws and np.isfinite(of_draws.place.values).any():
-        origin = CAMERA if known_unit(tree.attrs) is None else WORLD_ORIGIN
+        origin = CAMERA
         joints = joints + _spread_out(source.place.values, rows)[:, None]
         spread[:, JOINT_INDEX["pelvis"]] = _spread_out(of_draws.place_sd.values, rows)
     exact = single and wanted.smoother is None
@@ -309,7 +309,6 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
         film=True,
         numbers=numbers,
         origin=origin,
-        unit_mm=known_unit(tree.attrs),
         body=None if exact else body,
         items=[None if row is None else names[row] for row in (rows[at] for at in order)],
         rate=tree.attrs.get("rate"),

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.spatial.transform import Rotation
 
 from poseterior.inference.draws import Draws
 from poseterior.inference.importance.views.weighted import WeightedViews
@@ -38,7 +37,7 @@ from poseterior.reports.pages.filmed import PARTS, Film, film, learn_as
 from poseterior.reports.pages.honest import STRETCH
 from poseterior.reports.pages.measures import within
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
-from poseterior.reports.pages.posed import posed_table
+from poseterior.reports.pages.posed import camera_turned, posed_table
 from poseterior.reports.pages.viewed_measures import measured_beside, scores_of_pairs
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.frames import BELIEVED
@@ -135,6 +134,12 @@ def triangulated(
     return seen.points[0], seen.covariance[0] * given.stray[:, None, None] ** 2
 
 
+def scattered(mean: np.ndarray, doubt: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """`(n, 15, 3)`: draws of joints whose means and covariances are known."""
+    normal = rng.standard_normal((JUDGED_DRAWS, 15, 3))
+    return mean + np.einsum("jab,njb->nja", np.linalg.cholesky(doubt), normal)
+
+
 def true_errors(
     session: Session, row: int, others: Sequence[int], given: Beliefs, rng: np.random.Generator
 ) -> np.ndarray:
@@ -222,9 +227,7 @@ def measure_pair(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> di
         rng = np.random.default_rng([row, *cameras, 46])
         truth = triangulated(session, row, others, own)[0]
         errors = true_errors(session, row, others, own, rng)
-        mean, doubt = triangulated(session, row, cameras, own)
-        normal = rng.standard_normal((JUDGED_DRAWS, 15, 3))
-        strewn = mean + np.einsum("jab,njb->nja", np.linalg.cholesky(doubt), normal)
+        strewn = scattered(*triangulated(session, row, cameras, own), rng)
         draws = {
             FROM_POSTERIOR: draws_of(model, session, row, cameras, own),
             BY_TRIANGULATION: without_midpoints(strewn, session.midpoints),
@@ -244,11 +247,9 @@ def judge_cameras(seen: Film, given: list[Beliefs], cameras: Sequence[int]) -> d
         rng = np.random.default_rng([row, len(cameras)])
         mean, doubt = triangulated(session, row, cameras, own)
         truth = truth_beside(session, row, cameras, doubt, own)
-        factor = np.linalg.cholesky(doubt)
-        normal = rng.standard_normal((JUDGED_DRAWS, 15, 3))
         draws = {
             FROM_POSTERIOR: draws_of(model, session, row, cameras, own),
-            BY_TRIANGULATION: mean + np.einsum("jab,njb->nja", factor, normal),
+            BY_TRIANGULATION: scattered(mean, doubt, rng),
         }
         for way, joints in draws.items():
             found[way].append([part.tolist() for part in judged(joints, truth)])
@@ -354,8 +355,7 @@ def lag_table(session: Session) -> Sheet:
 def turned_aside(session: Session, camera: int, axis: int, degrees: float) -> Session:
     """A session whose calibration has one camera turned."""
     views = list(session.cameras)
-    turn = Rotation.from_euler("xyz"[axis], degrees, degrees=True).as_matrix()
-    views[camera] = dataclasses.replace(views[camera], rotation=turn @ views[camera].rotation)
+    views[camera] = camera_turned(views[camera], "xyz"[axis], degrees)
     return dataclasses.replace(session, cameras=tuple(views))
 
 

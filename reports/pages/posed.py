@@ -54,11 +54,15 @@ class PosedBody(NamedTuple):
     pixels: np.ndarray
 
 
+def camera_turned(camera: Pinhole, axis: str, degrees: float) -> Pinhole:
+    """A camera that is turned about one of its own axes."""
+    turn = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    return dataclasses.replace(camera, rotation=turn @ camera.rotation)
+
+
 def _turned(body: PosedBody) -> PosedBody:
     first, *others = body.cameras
-    turn = Rotation.from_euler("y", TURNED_BY, degrees=True).as_matrix()
-    turned = dataclasses.replace(first, rotation=turn @ first.rotation)
-    return body._replace(cameras=(turned, *others))
+    return body._replace(cameras=(camera_turned(first, "y", TURNED_BY), *others))
 
 
 def _undistorted(body: PosedBody) -> PosedBody:

@@ -107,14 +107,14 @@ def require_height(height: float | None, unit_mm: float | None) -> None:
 
 def known_unit(about: Mapping[Any, Any]) -> float | None:
     """Millimetres of the unit of a result's joints, by its attributes; None where nobody knows."""
-    return 1.0 if about.get("root") == WORLD else None
+    return float(about.get("unit_mm", 1.0)) if about.get("root") == WORLD else None
 
 
 def level(joints: np.ndarray, about: Mapping[Any, Any]) -> np.ndarray:
     """Joints `(..., 15, 3)` of a result, by its attributes, in axes in which measures are told: a
-    camera's, or those of a world with y down. Raises `BadInput` where it does not say which way is
-    up."""
-    if about.get("root") != WORLD:
+    camera's, or those of a world with y down, which streams have already. Raises `BadInput` where
+    it does not say which way is up."""
+    if about.get("root") != WORLD or "unit_mm" in about:
         return joints
     return joints @ level_axes(str(about.get("up"))).T
 

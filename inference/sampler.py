@@ -20,6 +20,7 @@ from poseterior.inference.importance.weighted import NUM_ROOTS, WeightedSampler
 from poseterior.inference.results import Result, result_of
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.failures import BadInput, require_some
+from poseterior.probmodel.instant import Instant
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate, require_root_prior
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN, WORLD
@@ -90,7 +91,7 @@ class DetectionSampler:
     model
         The prior of poses.
     root
-        The prior of torso and camera, one of `ROOT_PRIORS`.
+        The prior of torso and camera, one of `ROOT_PRIORS`; or of a body in the world.
     sampler
         Who draws.
     num_samples
@@ -122,9 +123,9 @@ class DetectionSampler:
         """What draws depend on beside model, detection and key: plain JSON values."""
         return {"root": self.root, "num_samples": self.num_samples} | self.sampler.settings
 
-    def __call__(self, frame: Estimate, key: jax.Array) -> Draws:
-        """Draws of one detection, those of `sample` for this key, in the same order. Raises
-        `BadInput` as that."""
+    def __call__(self, frame: Estimate | Instant, key: jax.Array) -> Draws:
+        """Draws of one detection, those of `sample` for this key, of several views those of
+        `sample_instant`, in the same order. Raises `BadInput` as these."""
         posterior = frame.posterior(self.model, self.root)
         return self.sampler.draw(posterior, key, self.num_samples)
 

@@ -36,12 +36,16 @@ from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.errors.faults import EXCHANGES, NUM_EXCHANGES
+from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.frames import DetectedFrame, frame_numbers
+from poseterior.probmodel.instant import Instant
+from poseterior.probmodel.level import CalibratedWorld
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.people import cast_of
 from poseterior.probmodel.posterior import Estimate
-from poseterior.probmodel.root_priors import UNCERTAIN
+from poseterior.probmodel.root_priors import UNCERTAIN, WORLD
+from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.skeleton import (
     JOINT_INDEX,
     JOINTS,
@@ -74,16 +78,18 @@ class Item(NamedTuple):
         Unlike any other's.
     frame
         The estimate; or the detection, which is estimated where its block is made, and not again;
-        or, where there is no pose to be told, the sentence that says why.
+        or what calibrated cameras saw; or, where there is no pose to be told, the sentence that
+        says why.
     """
 
     name: str
-    frame: Estimate | Detection | str
+    frame: Estimate | Detection | Instant | str
 
 
 class PoseDraws(NamedTuple):
     """Draws of a frame: joints `(n, 15, 3)`, `bone_length` `(n, 5)`, and where the pelvis is before
-    the camera, `(n, 3)`, NaN where no focal length is known; body units."""
+    the camera, `(n, 3)`, NaN where no focal length is known; body units. Of calibrated cameras:
+    where it is in their world, and the body as large as it is (`CalibratedWorld`)."""
 
     joints: np.ndarray
     bone_length: np.ndarray
@@ -174,13 +180,14 @@ def sample_frames(
     estimating: Estimating | None = None,
     sampler: str | None = None,
     root: str = UNCERTAIN,
-    num_roots: int = MANY_ROOTS,
+    num_roots: int | None = None,
     most_roots: int | None = None,
     num_samples: int = 10_000,
     k: int = 5,
     composed: bool = False,
     keep: int = 0,
     max_proposals: int = MAX_PROPOSALS,
+    world: CalibratedWorld | None = None,
     machines: Machines = HERE,
     progress: Progress | None = None,
 ) -> Path:
@@ -203,7 +210,8 @@ def sample_frames(
     estimating
         How detections are estimated; not needed where all frames are estimates.
     sampler, root, num_roots, most_roots, num_samples
-        As `inference.sample` takes them: what is drawn of every frame.
+        As `inference.sample` takes them: what is drawn of every frame; by default from `MANY_ROOTS`
+        roots. In a world as `sample_instant` takes them, and there is one prior of roots alone.
     k, composed
         How many hypotheses of each frame, and whether they are put together limb by limb
         (`inference.composition`), rather than draws.
@@ -211,6 +219,8 @@ def sample_frames(
         How many draws of each frame are written, of `DRAW_BYTES` each, for `draws_of`.
     max_proposals
         Most proposals for a frame.
+    world
+        Of frames that calibrated cameras saw (`Session.seen_by`).
     machines
         Who draws; blocks are written by this process.
     progress
@@ -225,7 +235,8 @@ def sample_frames(
     ------
     BadInput
         Where `out` holds another run, or another process is writing to it, where the numbers do not
-        go together, where a detection comes without `estimating`, and as that and `sampler_of` do.
+        go together, where a detection comes without `estimating`, or views without a `world`, and
+        as these and `sampler_of` do.
     """
     keep = min(keep, num_samples)
     if num_samples < 1 or not 1 <= k <= num_samples or keep < 0:
@@ -239,6 +250,11 @@ def sample_frames(
     folder = Path(out)
     size = frames_of_block(keep)
     words = np.asarray(jax.random.key_data(key))
+    if world is not None:
+        root = WORLD
+        _require_whole(composed)
+    elif num_roots is None:
+        num_roots = MANY_ROOTS
     chosen = sampler_of(
         root, sampler, num_roots=num_roots, most_roots=most_roots, max_proposals=max_proposals
     )
@@ -251,6 +267,7 @@ def sample_frames(
         composed=composed,
         keep=keep,
         lens=model.lens,
+        world=world,
     )
     settings = {
         "study": "stream of frames",
@@ -258,6 +275,7 @@ def sample_frames(
         "block": size,
         **draw.settings,
         **(estimating.settings if estimating else {}),
+        **(world.settings if world else {}),
         "k": k,
         **({"composed": True} if composed else {}),
         "keep": keep,
@@ -272,7 +290,7 @@ def sample_frames(
 
     with locked(folder):
         store = Store.begin(folder, settings)
-        fill(store, machines, task, _blocks(_possible(frames, estimating), size), take)
+        fill(store, machines, task, _blocks(_possible(frames, estimating, world), size), take)
         store.finish(len(taken))
     return folder
 
@@ -292,12 +310,14 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
         `/summary` by frame: status, sentence, num_draws, log_evidence with its standard error,
         effective_roots (NaN where torso and camera are fixed), the probabilities that a keypoint is
         an `outlier` `(frame, joint)` and that left and right are exchanged by a `pattern`,
-        `exchange` `(frame, pattern)` (NaN under a law without either), `mean` and `sd` of joints
-        `(frame, joint, axis)` about the pelvis, quantiles of their `depth` `(frame, joint, level)`,
-        and `place` and `place_sd` `(frame, axis)` of the pelvis before the camera, body units (NaN
-        where no focal length is known); `/hypotheses`: `joints`
-        `(frame, hypothesis, joint, axis)`, `place` `(frame, hypothesis, axis)`, `weight`, `draw`.
-        The settings of the run are attributes.
+        `exchange` `(frame, pattern)` (NaN under a law without either; of calibrated cameras
+        `(frame, view, ...)`), `mean` and `sd` of joints `(frame, joint, axis)` about the pelvis,
+        quantiles of their `depth` `(frame, joint, level)`, and `place` and `place_sd`
+        `(frame, axis)` of the pelvis before the camera, body units (NaN where no focal length is
+        known); `/hypotheses`: `joints` `(frame, hypothesis, joint, axis)`, `place`
+        `(frame, hypothesis, axis)`, `weight`, `draw`. The settings of the run are attributes; of
+        calibrated cameras `up`, `unit_mm` and `views` too, by which axes are level and body units
+        known (`CalibratedWorld`).
 
     Raises
     ------
@@ -315,6 +335,9 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
         }
     )
     found["summary"] = _with_faults(found["summary"].to_dataset())
+    if "views" in store.settings:
+        own = found["summary"].to_dataset().assign_coords(view=store.settings["views"])
+        found["summary"] = own.assign_attrs(unit_mm=store.settings["unit_mm"])
     found.attrs.update(store.settings)
     return found
 
@@ -392,6 +415,30 @@ def _held(summary: xr.Dataset, drawn: xr.Dataset, index: int) -> xr.Dataset:
     rows = drawn.isel(frame=index)
     held = min(int(summary.num_draws[index]), rows.sizes["draw"])
     return rows.isel(draw=slice(held)).expand_dims("chain")
+
+
+def items_of(
+    session: Session, cameras: Sequence[int] | None = None, likelihood: Likelihood | None = None
+) -> Iterator[Item]:
+    """The frames of calibrated cameras as items of a stream, named by their numbers.
+
+    Parameters
+    ----------
+    session
+        What they saw.
+    cameras
+        Which of them, counted from 0; by default all.
+    likelihood
+        How detections err; by default as `Session.instant` has it.
+
+    Raises
+    ------
+    BadInput
+        Where there is no such camera.
+    """
+    for number in session.numbers:
+        instant = session.instant(number, cameras)
+        yield Item(str(number), instant.judged_by(likelihood) if likelihood else instant)
 
 
 class People:
@@ -546,6 +593,7 @@ class _Drawing:
     composed: bool
     keep: int
     lens: Lens | None
+    world: CalibratedWorld | None
 
     def __call__(self, block: tuple[int, list[Item]]) -> Groups:
         first, items = block
@@ -553,7 +601,7 @@ class _Drawing:
         rows = in_threads(self._drawn, range(first, first + len(items)), names, frames)
         return groups_of(rows, self.k)
 
-    def _estimates(self, items: list[Item]) -> list[Estimate | str]:
+    def _estimates(self, items: list[Item]) -> list[Estimate | Instant | str]:
         """Detections are estimated together, or one by one where that fails for one of them."""
         estimating = self.estimating
         people = [item.frame for item in items if isinstance(item.frame, Detection)]
@@ -565,7 +613,7 @@ class _Drawing:
                 found = (_alone(estimating, person) for person in people)
         return [next(found) if isinstance(item.frame, Detection) else item.frame for item in items]
 
-    def _drawn(self, index: int, name: str, frame: Estimate | str) -> FrameDraws:
+    def _drawn(self, index: int, name: str, frame: Estimate | Instant | str) -> FrameDraws:
         if isinstance(frame, str):
             return self._nothing(name, BAD_INPUT, frame)
         key = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(self.words)), index)
@@ -581,13 +629,18 @@ class _Drawing:
         if not len(draws):
             return drawn
         if draws.posterior.faults.any:
-            counts = np.bincount(draws.faults.exchange, minlength=NUM_EXCHANGES)
+            patterns = np.asarray(draws.faults.exchange)[..., None] == np.arange(NUM_EXCHANGES)
             outlier = np.mean(draws.faults.outlier, axis=0)
-            drawn = drawn._replace(outlier=outlier, exchange=counts / len(draws))
-        k, joints = min(self.k, len(draws)), draws.joints
-        places = _places(draws, self.lens if frame.lens is None else frame.lens)
-        chosen = compose(draws, k) if self.composed else diverse(joints.astype(np.float32), k)
-        return drawn.drawn(PoseDraws(joints, draws.bone_length, places), chosen)
+            drawn = drawn._replace(outlier=outlier, exchange=np.mean(patterns, axis=0))
+        k, told = min(self.k, len(draws)), self._told(draws, frame)
+        chosen = compose(draws, k) if self.composed else diverse(told.joints.astype(np.float32), k)
+        return drawn.drawn(told, chosen)
+
+    def _told(self, draws: Draws, frame: Estimate | Instant) -> PoseDraws:
+        if self.world is not None:
+            return _in_world(draws, self.world)
+        own = self.lens if isinstance(frame, Instant) or frame.lens is None else frame.lens
+        return PoseDraws(draws.joints, draws.bone_length, _places(draws, own))
 
     def _nothing(self, name: str, status: str, sentence: str) -> FrameDraws:
         return nothing_drawn(name, status, sentence, self.k, self.keep)
@@ -602,6 +655,25 @@ def _places(draws: Draws, lens: Lens | None) -> np.ndarray:
     aside = (draws.keypoints[:, JOINT_INDEX["pelvis"]] - np.asarray(lens.principal)) / scale
     focal = np.asarray(lens.at(draws.cameras.lens).focal).reshape(-1, 1)
     return np.concatenate([aside, focal / scale], axis=1)
+
+
+def _in_world(draws: Draws, world: CalibratedWorld) -> PoseDraws:
+    """The draws of what calibrated cameras saw: as large as they are."""
+    size = np.exp(np.asarray(draws.points.log_size))
+    return PoseDraws(
+        world.told(size[:, None, None] * draws.joints),
+        draws.bone_length * (size / world.unit_mm)[:, None],
+        world.told(np.asarray(draws.points.place)),
+    )
+
+
+def _require_whole(composed: bool) -> None:
+    """Raises `BadInput` where hypotheses of several views are to be put together limb by limb."""
+    if composed:
+        raise BadInput(
+            "hypotheses of several views are draws, and not put together limb by limb; leave"
+            " `composed` out (on the command line --composed)"
+        )
 
 
 def _alone(estimating: Estimating, person: Detection) -> Estimate | str:
@@ -632,8 +704,9 @@ def groups_of(rows: list[FrameDraws], k: int) -> Groups:
     }
     summary |= {name: column(name, "axis", **units) for name in ("place", "place_sd")}
     summary["depth"] = column("depth", "joint", "level", **units)
-    summary["outlier"] = column("outlier", "joint")
-    summary["exchange"] = column("exchange", "pattern")
+    for name, dim in (("outlier", "joint"), ("exchange", "pattern")):
+        shares = np.stack(np.broadcast_arrays(*fields[name]))  # blanks are of no view
+        summary[name] = (("frame", *(["view"] if shares.ndim == 3 else []), dim), shares)
     hypotheses = {
         "joints": column("hypotheses", "hypothesis", "joint", "axis"),
         "place": column("standing", "hypothesis", "axis", **units),
@@ -654,9 +727,23 @@ def groups_of(rows: list[FrameDraws], k: int) -> Groups:
     }
 
 
-def _possible(frames: Iterable[Item], estimating: Estimating | None) -> Iterator[Item]:
-    """Frames, as they are read. Raises `BadInput` on a detection that nobody can estimate."""
+def _possible(
+    frames: Iterable[Item], estimating: Estimating | None, world: CalibratedWorld | None
+) -> Iterator[Item]:
+    """Frames, as they are read. Raises `BadInput` on a detection that nobody can estimate, and on
+    views and a world where not both are there."""
     for item in frames:
+        seen_by_several = isinstance(item.frame, Instant)
+        if seen_by_several and world is None:
+            raise BadInput(
+                f"{item.name} is of calibrated cameras; say of which world (`world`, as"
+                " `Session.seen_by` gives it)"
+            )
+        if world is not None and not seen_by_several and not isinstance(item.frame, str):
+            raise BadInput(
+                f"{item.name} is not of calibrated cameras, as all frames in a world are; leave it"
+                " out, or the `world`"
+            )
         if estimating is None and isinstance(item.frame, Detection):
             raise BadInput(
                 f"{item.name} is a detection; say how it is estimated (`estimating`), or give its"
@@ -680,6 +767,9 @@ def _fingerprint(items: list[Item]) -> str:
         if isinstance(frame, str):
             digest.update(frame.encode("utf-8", "backslashreplace"))
             continue
+        if isinstance(frame, Instant):
+            digest.update(_views_in_short(frame))
+            continue
         detection = frame if isinstance(frame, Detection) else frame.detection
         digest.update(repr(detection.moved).encode())
         arrays: list[Any] = [detection.keypoints, detection.score]
@@ -691,3 +781,15 @@ def _fingerprint(items: list[Item]) -> str:
         for array in arrays:
             digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
     return digest.hexdigest()
+
+
+def _views_in_short(instant: Instant) -> bytes:
+    """Of what each camera saw, and of the cameras."""
+    digest = hashlib.sha256()
+    for view in instant.views:
+        digest.update(f"{view.label} {view.likelihood.sha256}".encode("utf-8", "backslashreplace"))
+    rig = instant.rig
+    arrays = [instant.keypoints, instant.score, rig.focal, rig.principal, rig.rotation, rig.centre]
+    for array in [*arrays, instant.pointing]:
+        digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
+    return digest.digest()

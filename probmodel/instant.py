@@ -28,7 +28,7 @@ from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.observation import DetectedJoints, Observation
 from poseterior.probmodel.posterior import Estimate, Posterior
 from poseterior.probmodel.rig import CameraRig
-from poseterior.probmodel.root_priors import WorldPrior
+from poseterior.probmodel.root_priors import WORLD, WorldPrior
 from poseterior.probmodel.roots import Root, WorldPoint, WorldRoot
 
 if TYPE_CHECKING:
@@ -174,13 +174,15 @@ class Instant:
         judged = [dataclasses.replace(view, likelihood=likelihood) for view, likelihood in views]
         return dataclasses.replace(self, views=tuple(judged))
 
-    def posterior(self, model: PoseModel) -> "InstantPosterior":
+    def posterior(self, model: PoseModel, root: str = WORLD) -> "InstantPosterior":
         """The posterior under a model of poses.
 
         Parameters
         ----------
         model
             The prior of poses.
+        root
+            There is one alone: the body in the world.
 
         Returns
         -------
@@ -190,8 +192,13 @@ class Instant:
         Raises
         ------
         BadInput
-            On a model that believes people to be upright, or has a lens of its own.
+            On a model that believes people to be upright, or has a lens of its own, or another
+            prior of the root.
         """
+        if root != WORLD:
+            raise BadInput(
+                f"several views have no root {root!r}; calibrated cameras see a body in the world"
+            )
         if model.upright:
             raise BadInput(
                 "a calibration does not say which way is up, so that several cameras leave no room"

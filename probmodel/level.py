@@ -1,7 +1,9 @@
-"""Which way is up in the world of calibrated cameras, and level axes for what is measured there.
+"""Which way is up in the world of calibrated cameras, and level axes for what is told there.
 
 A calibration does not say it. But cameras stand upright, more or less, and a world has one of its
 axes vertical: the one that lies nearest to the mean of the cameras' own."""
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -70,3 +72,32 @@ def level_axes(up: str) -> np.ndarray:
     down[UPS[up]] = 1.0 if up.startswith("-") else -1.0
     right = np.eye(3)[0 if UPS[up] else 1]
     return np.stack([right, down, np.cross(right, down)])
+
+
+class CalibratedWorld(NamedTuple):
+    """What is known of the world that cameras are calibrated in, by which a film of them is told as
+    films of one camera are: what reads the one reads the other.
+
+    Attributes
+    ----------
+    up
+        The axis that points up, one of `UPS`.
+    unit_mm
+        Millimetres of a body unit.
+    views
+        What the cameras are called.
+    """
+
+    up: str
+    unit_mm: float
+    views: tuple[str, ...]
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {"up": self.up, "unit_mm": self.unit_mm, "views": list(self.views)}
+
+    def told(self, points: np.ndarray) -> np.ndarray:
+        """Points `(..., 3)` in the world's axes, mm, in body units of level ones (`level_axes`).
+        Raises `BadInput` as that does."""
+        return points @ level_axes(self.up).T / self.unit_mm

@@ -51,6 +51,8 @@ from poseterior.reports.options import (
     WhoseFilm,
     Workforce,
     map_of_names,
+    parse_cameras,
+    require_meaning_in_views,
 )
 
 if TYPE_CHECKING:
@@ -140,14 +142,14 @@ class HypothesesSettings:
 
     def instant(self, session: "Session") -> "Instant":
         """One frame of it. Raises `BadInput` where there is no such frame or camera."""
-        try:
-            chosen = [int(one) - 1 for one in self.cameras.split(",")] if self.cameras else None
-        except ValueError:
-            raise BadInput(
-                f"--cameras {self.cameras} is no list of numbers; give one such as 1,3"
-            ) from None
+        chosen = parse_cameras(self.cameras)
         frame = session.numbers[0] if self.frame is None else self.frame
         return session.instant(frame, chosen).judged_by(self.estimation.likelihood("learned"))
+
+    def require_meaning(self, given: Set[str]) -> None:
+        """Raises `BadInput` where an option was given that calibrated cameras do not know."""
+        if self.person.is_session:
+            require_meaning_in_views(given)
 
     def check(self) -> None:
         """Raises `BadInput` where frames or cameras are chosen of a single view."""
@@ -210,9 +212,14 @@ class _ManyFrames:
 
     path: Annotated[
         Path,
-        Argument(help="A folder of detections, or one file of many frames.", show_default=False),
+        Argument(
+            help="A folder of detections, one file of many frames, or a folder of calibrated"
+            " cameras.",
+            show_default=False,
+        ),
     ]
     open: Open = False
+    cameras: str | None = option(None, "Which calibrated cameras, such as 1,3; all by default.")
     person: int | None = option(
         None,
         "Whose film: one person alone, counted from 0 as they are first seen.",
@@ -228,9 +235,28 @@ class _ManyFrames:
     prior: Prior = Prior()
 
     @property
-    def drawn(self) -> RootKind:
+    def drawn(self) -> RootKind | None:
         """As of `HypothesesSettings`."""
-        return self.rooting.root
+        return None if self.is_session else self.rooting.root
+
+    @functools.cached_property
+    def is_session(self) -> bool:
+        """Whether it is a folder of calibrated cameras."""
+        from poseterior.probmodel.sessions import is_session
+
+        return is_session(self.path)
+
+    @functools.cached_property
+    def session(self) -> "Session":
+        """What calibrated cameras saw. Raises `BadInput` where it cannot be read."""
+        from poseterior.probmodel.sessions import read_session
+
+        return read_session(self.path, layout=self.detected.layout)
+
+    def require_meaning(self, given: Set[str]) -> None:
+        """As of `HypothesesSettings`."""
+        if self.is_session:
+            require_meaning_in_views(given)
 
     @functools.cached_property
     def _film(self) -> "_Film":
@@ -245,7 +271,7 @@ class _ManyFrames:
     @property
     def names(self) -> list[str]:
         """Of all frames."""
-        return self._film.names
+        return list(map(str, self.session.numbers)) if self.is_session else self._film.names
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -272,6 +298,14 @@ class _ManyFrames:
 
     def check(self) -> None:
         """Reads all frames. Raises `BadInput` on a bad one, or where there is nobody."""
+        if self.is_session:
+            self.session.instant(self.session.numbers[0], parse_cameras(self.cameras))
+            return
+        if self.cameras:
+            raise BadInput(
+                f"--cameras is of calibrated cameras, and {self.path} is no folder with a"
+                " calibration; leave it out"
+            )
         if not self._film.sizes:
             raise BadInput(
                 f"{self.path} has no person in it; choose one in which the detector found some"
@@ -290,6 +324,7 @@ class FramesSettings(_ManyFrames):
         "frames walk/ --out walk-uncertain --roots 400 --upright 20",
         "frames walk/ --focal 1650 --principal 240,320",
         "frames walk/ --root fixed --out walk-of-the-paper",
+        "frames session/ --cameras 1,3 --out in-the-world",
     )
     out: Path = option(
         Path("out"),
@@ -309,6 +344,7 @@ class FilmSettings(_ManyFrames):
         "film walk/ --fps 60 --out walk-film",
         "film video.json --fps 30 --person 1 --focal 1650 --principal 540,960",
         "film walk-posterior --fps 60 --out walk-film",
+        "film session/ --fps 60 --cameras 1,3 --out walk-film",
     )
     fps: Annotated[
         float,

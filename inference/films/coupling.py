@@ -28,9 +28,13 @@ themselves, as single draws would, the more the fewer there are."""
 LASTING = 0.5
 """Seconds in which paths forget. Chosen by captured people: intervals of changes over half a second
 hold what they should (reports/films.md)."""
+OWN_PLACE = 1.0
+"""What weighs, beside half the squared chord of a torso's turn, where its pelvis was (square, body
+units), as far as calibrated cameras know it."""
 OWN_TORSO, OWN_IMAGE = 0.25, 1.0
 """What weighs, beside a limb's own motion (squares of chords), that its torso is turned otherwise
-(square of the angle), and that it falls elsewhere in the image (square, body units)."""
+(square of the angle), and that it falls elsewhere in the image, or in the world (square, body
+units)."""
 
 
 class Frame(NamedTuple):
@@ -47,6 +51,7 @@ def coupled(
     body: PathBodies,
     random: np.random.Generator,
     lasting: float = LASTING,
+    in_world: bool = False,
 ) -> list[Parts]:
     """Paths of bodies, whose frames are the draws of each in another order.
 
@@ -60,6 +65,8 @@ def coupled(
         By which paths forget where among the draws they were.
     lasting
         Seconds within which they do.
+    in_world
+        Whether the frames are of calibrated cameras, who see in all three axes where people are.
 
     Returns
     -------
@@ -71,8 +78,8 @@ def coupled(
     for frame in frames:
         if recent is not None:
             share = math.sqrt(2 * frame.after / lasting)
-            recent = _astray(recent, found[-1], share, random)
-        now = _following(recent, frame, body)
+            recent = _astray(recent, found[-1], share, random, in_world)
+        now = _following(recent, frame, body, in_world)
         found.append(now)
         old = 0.0 if recent is None else math.exp(-frame.after / RECENT)
         recent = Parts(
@@ -81,9 +88,11 @@ def coupled(
     return found
 
 
-def _astray(recent: Parts, now: Parts, share: float, random: np.random.Generator) -> Parts:
-    """Where paths were, moved by a share of the differences between draws: of torsos, and of each
-    limb by itself."""
+def _astray(
+    recent: Parts, now: Parts, share: float, random: np.random.Generator, in_world: bool
+) -> Parts:
+    """Where paths were, moved by a share of the differences between draws: of torsos, of each limb
+    by itself, and of places if these are told paths by."""
     number = len(now.turn)
 
     def differences(part: np.ndarray) -> np.ndarray:
@@ -93,18 +102,22 @@ def _astray(recent: Parts, now: Parts, share: float, random: np.random.Generator
     turn, direction = recent.turn + differences(now.turn), recent.direction.copy()
     for bones in LIMB_BONES:
         direction[:, bones] += differences(now.direction[:, bones])
-    return recent._replace(turn=turn, direction=direction)
+    place = recent.place + differences(now.place) if in_world else recent.place
+    return Parts(turn, direction, place)
 
 
-def _following(recent: Parts | None, frame: Frame, body: PathBodies) -> Parts:
+def _following(recent: Parts | None, frame: Frame, body: PathBodies, in_world: bool) -> Parts:
     drawn = frame.parts
     torso = np.arange(len(drawn.turn))
     if recent is not None:
-        torso = _assigned(_squares(recent.turn, drawn.turn) / 2)
+        apart = _squares(recent.turn, drawn.turn) / 2
+        if in_world:
+            apart += OWN_PLACE * _squares(recent.place, drawn.place)
+        torso = _assigned(apart)
     turn, direction = drawn.turn[torso], np.empty_like(drawn.direction)
     own = OWN_TORSO / 2 * _squares(turn, drawn.turn)
     for bones in LIMB_BONES:
-        cost = own + OWN_IMAGE * _beside(turn, body, frame, bones)
+        cost = own + OWN_IMAGE * _beside(turn, body, frame, bones, 3 if in_world else 2)
         if recent is not None:
             cost += _squares(recent.direction[:, bones], drawn.direction[:, bones])
         direction[:, bones] = drawn.direction[_assigned(cost)][:, bones]
@@ -122,16 +135,18 @@ def _squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a * a).sum(axis=1)[:, None] + (b * b).sum(axis=1)[None] - 2 * a @ b.T
 
 
-def _beside(turn: np.ndarray, body: PathBodies, frame: Frame, bones: tuple[int, ...]) -> np.ndarray:
+def _beside(
+    turn: np.ndarray, body: PathBodies, frame: Frame, bones: tuple[int, ...], known: int
+) -> np.ndarray:
     """`(n, n)`: how far, squared, the ends of each draw's limb (columns) would lie beside where
-    they are in its image, if it hung from each torso (rows)."""
-    axes = np.einsum("nij,njk->nik", turn, body.axes[:, bones[0]])[:, :2]
+    they are along the `known` axes (two in an image), if it hung from each torso (rows)."""
+    axes = np.einsum("nij,njk->nik", turn, body.axes[:, bones[0]])[:, :known]
     start = body.torso[:, TORSO_INDEX.index(BONES[bones[0]].start)]
-    place = np.einsum("nij,nj->ni", turn[:, :2], start)[:, :, None]
+    place = np.einsum("nij,nj->ni", turn[:, :known], start)[:, :, None]
     found = np.zeros((len(turn), len(turn)))
     for bone in bones:
         along = np.tensordot(axes, frame.parts.direction[:, bone], (2, 1))
         place = place - body.bone_length[:, bone, None, None] * along
-        ends = frame.joints[:, BONES[bone].end, :2].T
+        ends = frame.joints[:, BONES[bone].end, :known].T
         found += np.square(place - ends).sum(axis=1)
     return found

@@ -45,8 +45,10 @@ from poseterior.inference.stream import (
 from poseterior.probmodel.body import mean_torso
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.frames import named_by
+from poseterior.probmodel.level import CalibratedWorld
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.motion.lowpass import butterworth
+from poseterior.probmodel.root_priors import WORLD
 from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.skeleton import TORSO_INDEX
 
@@ -77,10 +79,11 @@ def sample_film(
     out: str | os.PathLike,
     estimating: Estimating | None = None,
     num_paths: int = NUM_PATHS,
-    num_roots: int = NUM_PATHS,
+    num_roots: int | None = None,
     most_roots: int | None = None,
     cutoff: float = CUTOFF,
     k: int = 5,
+    world: CalibratedWorld | None = None,
     machines: Machines = HERE,
     progress: Progress | None = None,
 ) -> Path:
@@ -101,9 +104,11 @@ def sample_film(
     num_paths
         How many paths.
     num_roots, most_roots
-        As `sample_frames` takes them.
+        As `sample_frames` takes them; by default from `NUM_PATHS` roots, but in a world.
     cutoff, k
         As `film_of` takes them.
+    world
+        As `sample_frames` takes it.
     machines
         Who draws.
     progress
@@ -126,11 +131,12 @@ def sample_film(
         key=key,
         out=Path(out) / FRAMES_FOLDER,
         estimating=estimating,
-        num_roots=num_roots,
+        num_roots=NUM_PATHS if num_roots is None and world is None else num_roots,
         most_roots=most_roots,
         num_samples=num_paths,
         keep=num_paths,
         k=1,
+        world=world,
         machines=machines,
     )
     return film_of(drawn, rate=rate, out=out, cutoff=cutoff, k=k, progress=progress)
@@ -200,7 +206,8 @@ def film_of(
         )
         seed = [int(word) for word in str(tree.attrs["seed"]).split()]
         pace, random = rate / step, np.random.default_rng(seed)
-        film = _paths(drawn, paths, pace, random, progress)
+        in_world = tree.attrs["root"] == WORLD
+        film = _paths(drawn, paths, pace, random, progress, in_world)
         parts = filled(film.parts, film.seen, pace, random)
         film = film._replace(parts=_without_quick(parts, pace, cutoff))
         task = _Writing(drawn, film, film.chosen(k), k)
@@ -367,6 +374,7 @@ def _paths(
     rate: float,
     random: np.random.Generator,
     progress: Progress | None,
+    in_world: bool,
 ) -> _Paths:
     """Paths through the frames that have draws; blanks in the others."""
     seen = np.array([one.drawn is not None for one in moments])
@@ -387,7 +395,8 @@ def _paths(
             if progress is not None:
                 progress(done + 1, len(draws))
 
-    found = Parts(*map(np.stack, zip(*coupled(frames(), body, random), strict=True)))
+    ordered = coupled(frames(), body, random, in_world=in_world)
+    found = Parts(*map(np.stack, zip(*ordered, strict=True)))
     blank = Parts(*(np.empty((len(seen), *part.shape[1:])) for part in found))
     for part, values in zip(blank, found, strict=True):
         part[seen] = values

@@ -30,6 +30,7 @@ from poseterior.probmodel.formats.frames import (
     sorted_files,
 )
 from poseterior.probmodel.layouts import MIDPOINTS, midpoints_of
+from poseterior.probmodel.level import CalibratedWorld, up_of
 from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions.calibrations import is_calibration, read_cameras
 from poseterior.probmodel.sessions.pinhole import Pinhole
@@ -252,6 +253,13 @@ class Session:
             self.pointing,
         ).judged_by(Likelihood.of(DetectorErrors.default()))
         return every if cameras is None else every.seen_by(cameras)
+
+    def seen_by(self, cameras: Sequence[int] | None = None) -> CalibratedWorld:
+        """By what a film of these cameras, or of all, is told: the axis that all have for up, and
+        the person's body unit."""
+        views = self.labels if cameras is None else [self.labels[one] for one in cameras]
+        up, _ = up_of(np.stack([one.rotation for one in self.cameras]))
+        return CalibratedWorld(up, self.unit, tuple(views))
 
     def take(self, rows: Sequence[int]) -> "Session":
         """Some of the frames."""

@@ -19,8 +19,7 @@ def run(settings: FilmSettings, screen: Screen) -> None:
     names, stream, person = None, settings.path, settings.person
     if not settings.drawn_before:
         stream, names, person = out / FRAMES_FOLDER, settings.names, None
-        people, warnings = frames.draw(settings, stream, screen, alone=True)
-        fragments = people.fragments
+        fragments, warnings = frames.draw(settings, stream, screen, alone=True)
     with console.progress("paths", screen.quiet) as step:
         film_of(
             stream,
@@ -35,8 +34,9 @@ def run(settings: FilmSettings, screen: Screen) -> None:
     frames.show(settings, fragments, screen)
     about = open_stream(out).attrs
     if not screen.json:
+        told = "Depth" if "views" not in about else "Where joints are"
         console.say(
-            f"{about['keep']} paths, each of one body; film_draws opens them. Depth in a frame is"
+            f"{about['keep']} paths, each of one body; film_draws opens them. {told} in a frame is"
             " as open as in a single one: what paths add is how it changes, and gaps"
         )
     if about["step"] > 1:

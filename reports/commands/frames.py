@@ -2,19 +2,29 @@
 where it was stopped, and its film as a page."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.filesize import decimal
 
 from poseterior.inference.measured import measures
-from poseterior.inference.stream import DRAW_BYTES, People, open_stream, sample_frames
-from poseterior.probmodel import Detection
+from poseterior.inference.stream import (
+    DRAW_BYTES,
+    Item,
+    People,
+    items_of,
+    open_stream,
+    sample_frames,
+)
+from poseterior.probmodel import Detection, PoseModel
+from poseterior.probmodel.level import doubtful
 from poseterior.probmodel.measures import USUAL
+from poseterior.probmodel.sessions.turning import said_of
 from poseterior.reports import console, doubts, figures, tables
 from poseterior.reports.interactive.film import film_page
 from poseterior.reports.interactive.page import write_page
-from poseterior.reports.options import Screen
+from poseterior.reports.options import Screen, parse_cameras
 from poseterior.reports.settings import FilmSettings, FramesSettings
 
 
@@ -23,8 +33,8 @@ def run(settings: FramesSettings, screen: Screen) -> None:
     frames that cannot be estimated are counted, and their reasons written."""
     out = settings.out
     console.output_folder(out)
-    people, warnings = draw(settings, out, screen, composed=settings.composed)
-    show(settings, people.fragments, screen)
+    fragments, warnings = draw(settings, out, screen, composed=settings.composed)
+    show(settings, fragments, screen)
     for sentence in warnings:
         console.warn(sentence)
 
@@ -36,12 +46,11 @@ def draw(
     *,
     composed: bool = False,
     alone: bool = False,
-) -> tuple[People, list[str]]:
-    """Writes the draws of everyone, or of one person `alone`; says who they are, and what is
-    doubtful about them."""
-    import jax
-
-    sampling = settings.sampling
+) -> tuple[list[str], list[str]]:
+    """Writes the draws of everyone, or of one person `alone`; says whom it left out, and what is
+    doubtful about the others."""
+    if settings.is_session:
+        return [], _draw_session(settings, out, screen)
     with console.progress("limits and torsos", screen.quiet):
         model = settings.rooting.model(settings.prior, settings.size)
         first = _first_people(settings)
@@ -64,29 +73,71 @@ def draw(
     warnings += settings.doubts(people.cast)
     if len(seen) > 1 and person is None and not screen.json:
         console.say(f"{people.described()}; --person draws one of them alone")
+    _fill(
+        model,
+        people,
+        len(people),
+        settings,
+        out,
+        screen,
+        estimating=estimating,
+        root=settings.rooting.root.prior,
+        num_roots=settings.rooting.roots,
+        most_roots=settings.rooting.most,
+        composed=composed,
+    )
+    return people.fragments, warnings
+
+
+def _draw_session(settings: FramesSettings | FilmSettings, out: Path, screen: Screen) -> list[str]:
+    """Writes the draws of what calibrated cameras saw; says what is doubtful about them."""
+    with console.progress("the session", screen.quiet):
+        session, cameras = settings.session, parse_cameras(settings.cameras)
+        model = settings.prior.model(rooted=True)
+        law = settings.estimation.likelihood("learned")
+        first = session.instant(session.numbers[0], cameras)
+        warnings = said_of(session, [view.label for view in first.views])
+    if session.left_out:
+        warnings.append(
+            f"in {session.left_out} of {session.left_out + len(session)} frames not all cameras see"
+            " the person, or their views do not agree: they are left out"
+        )
+    items, world = items_of(session, cameras, law), session.seen_by(cameras)
+    _fill(model, items, len(session), settings, out, screen, world=world)
+    return [*warnings, *doubtful(*first.up)]
+
+
+def _fill(
+    model: PoseModel,
+    items: Iterable[Item],
+    number: int,
+    settings: FramesSettings | FilmSettings,
+    out: Path,
+    screen: Screen,
+    **own: Any,
+) -> None:
+    """Draws so many items into the stream, with what is their `own` for `sample_frames`."""
+    import jax
+
+    sampling = settings.sampling
     kept = min(settings.keep, sampling.num_samples)
     if kept > 0 and not screen.json:
-        size = decimal(len(people) * kept * DRAW_BYTES)
+        size = decimal(number * kept * DRAW_BYTES)
         console.say(f"{kept:,} draws are kept of each person: at most {size} in {out}")
     with console.progress("people", screen.quiet) as step:
         sample_frames(
             model,
-            people,
+            items,
             key=jax.random.key(sampling.seed),
             out=out,
-            estimating=estimating,
-            root=settings.rooting.root.prior,
-            num_roots=settings.rooting.roots,
-            most_roots=settings.rooting.most,
             num_samples=sampling.num_samples,
             k=settings.k,
-            composed=composed,
             keep=settings.keep,
             max_proposals=sampling.max_proposals,
             machines=settings.workforce.machines(),
-            progress=lambda done: step(done, len(people)),
+            progress=lambda done: step(done, number),
+            **own,
         )
-    return people, warnings
 
 
 def show(settings: FramesSettings | FilmSettings, fragments: Sequence[str], screen: Screen) -> None:

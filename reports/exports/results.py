@@ -214,7 +214,7 @@ def _chosen(path: Path, wanted: Wanted) -> _Poses:
     return _Poses(joints[:k], names, joints, weights[:k], **_placed(about))
 
 
-def _placed(about: Mapping[str, Any]) -> dict[str, Any]:
+def _placed(about: Mapping[Any, Any]) -> dict[str, Any]:
     """Where poses stand, and their unit, by the attributes of their result."""
     unit_mm = known_unit(about)
     return {} if unit_mm is None else {"origin": WORLD_ORIGIN, "unit_mm": unit_mm}
@@ -308,10 +308,10 @@ def _film(path: Path, wanted: Wanted) -> _Poses:
         spread=spread[order],
         film=True,
         numbers=numbers,
-        origin=origin,
         body=None if exact else body,
         items=[None if row is None else names[row] for row in (rows[at] for at in order)],
         rate=tree.attrs.get("rate"),
+        **{"origin": origin} | _placed(tree.attrs),
     )
 
 

@@ -20,13 +20,15 @@ from poseterior.reports.tables.words import spoken
 SHOWN_ENDS = ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
 FILM_WIDTH, HEIGHT = 10.5, 5.2
 """Inches."""
+BEHIND = "Depth behind the pelvis"
 MOST_PEOPLE = 3
 """Of whom there is a column each; those with the most poses."""
 
 
 def film_figure(summary: xr.Dataset) -> Figure:
     """Wrists and ankles of each person: median of the depth behind the pelvis, half of the draws,
-    and 90 % of them, frame by frame; gaps where there is no pose. Body units.
+    and 90 % of them, frame by frame; gaps where there is no pose. Body units. Of calibrated cameras
+    along the level axis z.
 
     Parameters
     ----------
@@ -50,7 +52,8 @@ def film_figure(summary: xr.Dataset) -> Figure:
         for axis, end in zip(axes[:, column], SHOWN_ENDS, strict=True):
             _draw_bands(axis, bands[:, JOINT_INDEX[end]], end)
         said = f", person {person}" if len(people) > 1 else ""
-        title = f"Depth behind the pelvis{said}"
+        along = "From the pelvis along the level axis z" if "view" in summary.dims else BEHIND
+        title = f"{along}{said}"
         entitle(axes[0, column], title)
         axes[-1, column].set_xlabel(
             "frame     (median, half of the draws, 90 % of them; body units)",

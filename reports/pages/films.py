@@ -2,12 +2,13 @@
 
     python -m poseterior.reports.pages.films ../shared/data work
 
-The person on the beam, judged by three other cameras, and captured people of whom no limits were
-learned. `work` keeps the draws, and a run that was stopped goes on there.
+The person on the beam, judged by the cameras that are left out, and captured people of whom no
+limits were learned. `work` keeps the draws, and a run that was stopped goes on there.
 """
 
 import dataclasses
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,10 +33,14 @@ from poseterior.probmodel.body import body_unit
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.datasets.sessions import judged_views
 from poseterior.probmodel.errors.laws import Student
+from poseterior.probmodel.instant import Instant
 from poseterior.probmodel.layouts import MIDPOINTS, corrected, without_midpoints
+from poseterior.probmodel.level import CalibratedWorld, level_axes
 from poseterior.probmodel.motion import Motion, read_motion
 from poseterior.probmodel.motion.lowpass import butterworth
-from poseterior.probmodel.sessions import read_session
+from poseterior.probmodel.sessions import Session, read_session
+from poseterior.probmodel.sessions.session import joints_seen
+from poseterior.probmodel.sessions.triangulation import Triangulated
 from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
 from poseterior.reports.pages.honest import STRETCH
@@ -67,6 +72,7 @@ HEAVIEST = "frame by frame, the heaviest hypothesis"
 ALONE = "frame by frame, all draws"
 SMOOTHED = "frame by frame, each draw smoothed"
 FILM_WAY = "film"
+PAIRS = "beam, two cameras"
 LIMB_TIPS = [
     JOINT_INDEX[name] for name in ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
 ]
@@ -79,18 +85,36 @@ class TrueFilm(NamedTuple):
     ----------
     name : what it is of.
     people : what was detected in each frame.
-    truth : `(frames, 15, 3)` mm, the camera's axes; NaN where it is not known.
-    sigma : `(frames, 15)` mm, standard deviations of its own errors.
+    truth : `(frames, 15, 3)` mm, the camera's axes, or a world's level ones; NaN where it is not
+        known.
+    doubt : `(frames, 15, 3, 3)` mm, what makes its own errors of standard normals.
     lens : the camera's; None where nothing is to be known of it.
     rate : frames a second.
+    world : of several cameras.
+    axes : `(3, 3)` columns, along which coordinates are judged: last that of which cameras say
+        least.
     """
 
     name: str
-    people: list[Detection]
+    people: Sequence[Detection | Instant]
     truth: np.ndarray
-    sigma: np.ndarray
+    doubt: np.ndarray
     lens: Lens | None
     rate: float
+    world: CalibratedWorld | None = None
+    axes: np.ndarray = np.eye(3)
+
+    @property
+    def unit(self) -> float:
+        """Millimetres of a body unit."""
+        if self.world is not None:
+            return self.world.unit_mm
+        return body_unit(self.truth[np.isfinite(self.truth).all(axis=(1, 2))])
+
+    def errors(self, number: int, rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """`(number, rows, 15, 3)` mm: of the truth, those of a joint lasting as a detector's do."""
+        each = [_lasting((NUM_JOINTS, 3), len(rows), self.rate, rng) for _ in range(number)]
+        return np.einsum("fjab,nfjb->nfja", self.doubt[rows], np.stack(each))
 
 
 def beam(data: Path, *, focal: bool) -> list[TrueFilm]:
@@ -108,18 +132,56 @@ def beam(data: Path, *, focal: bool) -> list[TrueFilm]:
             )
             for row in view.rows
         ]
-        variance = np.trace(view.world.covariance, axis1=-2, axis2=-1) / 3
         found.append(
             TrueFilm(
                 f"beam-{session.labels[view.camera]}{'-focal' if focal else ''}",
                 people,
                 without_midpoints(camera.view(view.world.points), MIDPOINTS),
-                np.sqrt(variance) * session.stray,
+                camera.rotation @ doubt_of(session, view.world.covariance),
                 Lens(float(camera.focal[0]), camera.principal) if focal else None,
                 60.0,
             )
         )
     return found
+
+
+def beam_of_pairs(data: Path) -> list[TrueFilm]:
+    """The film of every two cameras, and what the two others say."""
+    session = read_session(data / "multicamera")
+    every = range(len(session.cameras))
+    found = []
+    for pair in itertools.combinations(every, 2):
+        world = session.seen_by(pair)
+        own, others = (_seen(session, some) for some in (pair, [*set(every) - set(pair)]))
+        level = level_axes(world.up)
+        known = np.nanmean(level @ own.covariance[:, HIPS] @ level.T, axis=(0, 1))
+        found.append(
+            TrueFilm(
+                f"beam-{'-'.join(world.views)}",
+                [session.instant(number, pair) for number in session.numbers],
+                world.unit_mm * world.told(without_midpoints(others.points, MIDPOINTS)),
+                level @ doubt_of(session, others.covariance),
+                None,
+                60.0,
+                world,
+                np.linalg.eigh(known)[1],
+            )
+        )
+    return found
+
+
+def _seen(session: Session, cameras: Sequence[int]) -> Triangulated:
+    rows = list(cameras)
+    views = [session.straight[one] for one in rows]
+    return joints_seen(views, session.keypoints[rows], session.score[rows])
+
+
+def doubt_of(session: Session, covariance: np.ndarray) -> np.ndarray:
+    """`(frames, 15, 3, 3)` mm: what makes errors of triangulated joints, whose covariances are in
+    squared strays, of standard normals; nothing where a joint is not known."""
+    known = np.isfinite(covariance).all(axis=(-2, -1))[..., None, None]
+    root = np.linalg.cholesky(np.where(known, covariance, np.eye(3)))
+    return np.where(known, root, 0.0) * session.stray[:, None, None]
 
 
 def captured_films(data: Path, law: DetectorErrors, rate: float, people: int) -> list[TrueFilm]:
@@ -149,7 +211,7 @@ def _captured(motion: Motion, law: DetectorErrors, rate: float, number: int) -> 
         f"captured-{motion.subject}-{rate:g}",
         [one.detection for one in views],
         np.stack([one.truth for one in views]),
-        np.zeros((len(views), NUM_JOINTS)),
+        np.zeros((len(views), NUM_JOINTS, 3, 3)),
         None,
         rate,
     )
@@ -191,7 +253,13 @@ def drawn(film: TrueFilm, work: Path) -> Path:
         model = model if film.lens is None else model.seen_by(film.lens)
         items = [Item(f"{row:04d}", person) for row, person in enumerate(film.people)]
         sample_film(
-            model, items, rate=film.rate, key=0, out=out, estimating=Estimating(likelihood=law)
+            model,
+            items,
+            rate=film.rate,
+            key=0,
+            out=out,
+            estimating=Estimating(likelihood=law),
+            world=film.world,
         )
         print(film.name, flush=True)
     return out
@@ -205,7 +273,6 @@ def ways_of(film: TrueFilm, out: Path) -> tuple[Ways, np.ndarray]:
     """Ways to a motion, and the rows of the truth that their frames are."""
     paths = film_draws(out)
     rows = np.array([int(str(name)) for name in paths.frame.values])
-    unit = body_unit(film.truth[np.isfinite(film.truth).all(axis=(1, 2))])
     alone = {int(name): one.joints.values[0] for name, one in all_draws(out / FRAMES_FOLDER)}
     there = np.array([len(alone[row]) > 0 for row in rows])
     each = np.full(paths.joints.shape[1:], np.nan)
@@ -221,7 +288,7 @@ def ways_of(film: TrueFilm, out: Path) -> tuple[Ways, np.ndarray]:
         SMOOTHED: smooth,
         FILM_WAY: paths.joints.values[0].astype(float),
     }
-    return {name: unit * about_hips(one) for name, one in found.items()}, rows
+    return {name: film.unit * about_hips(one) for name, one in found.items()}, rows
 
 
 def about_hips(joints: np.ndarray) -> np.ndarray:
@@ -252,9 +319,9 @@ def judge(
 ) -> PathsJudged:
     """A way's paths `(n, frames, 15, 3)` against the truth, whose own errors they are given."""
     truth = about_hips(film.truth[rows])
-    own = film.sigma[rows][:, :, None] * _truths_errors(len(paths), film.rate, len(rows), rng)
-    noisy = about_hips(paths + np.nan_to_num(own))[:, :, JUDGED_ENDS]
-    true = truth[:, JUDGED_ENDS]
+    own = film.errors(len(paths), rows, rng)
+    noisy = about_hips(paths + own)[:, :, JUDGED_ENDS] @ film.axes
+    true = truth[:, JUDGED_ENDS] @ film.axes
     kinds = [(noisy, true)]
     for lag in LAGS:
         step = round(lag * film.rate)
@@ -263,12 +330,8 @@ def judge(
     covered = np.array([_held(end, true) for end, (_, true) in zip(ends, kinds, strict=True)])
     width = np.array([np.nanmedian(high - low, axis=(0, 1)) for low, high in ends])
     mean = paths.mean(axis=0)
-    gone = np.linalg.norm(mean[:, JUDGED_ENDS] - true, axis=-1)
+    gone = np.linalg.norm((mean - truth)[:, JUDGED_ENDS], axis=-1)
     return PathsJudged(covered, width, float(np.nanmean(gone)), jitter(mean))
-
-
-def _truths_errors(number: int, rate: float, frames: int, rng: np.random.Generator) -> np.ndarray:
-    return np.stack([_lasting((NUM_JOINTS, 3), frames, rate, rng) for _ in range(number)])
 
 
 def intervals(paths: np.ndarray) -> np.ndarray:
@@ -343,12 +406,11 @@ def measured(films: list[TrueFilm], work: Path) -> Measured:
         ways, rows = ways_of(film, drawn(film, work))
         paths, rng = ways[FILM_WAY], np.random.default_rng([number, 48])
         truth = about_hips(film.truth[rows])
-        own = _truths_errors(len(paths), film.rate, len(rows), rng) * film.sigma[rows][..., None]
-        noisy = about_hips(paths + np.nan_to_num(own))
+        noisy = about_hips(paths + film.errors(len(paths), rows, rng))
         for at, row in enumerate(rows):
             found.append(standings_of(truth[at], noisy[:, at], paths[:, at], rng))
             # Of one person, stretches of the film; of several, people.
-            cluster.append(row // STRETCH if film.sigma.any() else number)
+            cluster.append(row // STRETCH if film.doubt.any() else number)
     parts = map(np.stack, zip(*found, strict=True))
     return Measured(MeasureStandings(*parts), np.array(cluster))
 
@@ -388,7 +450,11 @@ def picture(film: TrueFilm, out: Path) -> Figure:
 def main(data: Data, work: Work) -> Page:
     """Draws what is left to be drawn, then writes the page."""
     law = DetectorErrors.default()
-    real = {"beam": beam(data, focal=False), "beam, `--focal`": beam(data, focal=True)}
+    real = {
+        "beam": beam(data, focal=False),
+        "beam, `--focal`": beam(data, focal=True),
+        PAIRS: beam_of_pairs(data),
+    }
     held = captured_films(data, law, CAPTURED_RATE, CAPTURED_PEOPLE)
     made = {f"captured, {CAPTURED_RATE:g} a second": held}
     made |= {
@@ -397,9 +463,12 @@ def main(data: Data, work: Work) -> Page:
     }
     of_measures = {
         "beam, `--focal`": measured(real["beam, `--focal`"], work),
+        PAIRS: measured(real[PAIRS], work),
         "captured": measured(held, work),
     }
-    focal_within, captured_within = (within(one.scores) for one in of_measures.values())
+    focal_within, pairs_within, captured_within = (
+        within(one.scores) for one in of_measures.values()
+    )
     constant, slow, quick = (f"{100 * share:.0f}" for share in ERROR_SHARES)
     values: dict[str, str | int | Sheet] = {
         "constant": constant,
@@ -413,6 +482,7 @@ def main(data: Data, work: Work) -> Page:
         "captured": table(made, work),
         "measures": overview(of_measures),
         "focal_within": focal_within,
+        "pairs_within": pairs_within,
         "captured_within": captured_within,
         "people": len(held),
         "rated": RATED_PEOPLE,

@@ -17,13 +17,16 @@ BELIEVED = 0.5
 """Probability above which a detection is called wrong."""
 MOST_RUNS = 5
 """Stretches of frames that are named."""
+UNIT = "unit_mm"
+"""The attribute of a summary that says how large a body unit is: cameras were calibrated."""
 LIMB_ENDS = tuple(sorted(bone.end for bone in BONES))
 """The joints that move."""
 
 
 def stream_json(summary: xr.Dataset) -> dict[str, Any]:
     """How many frames came to what end, and each frame's draws, evidence, effective roots and
-    the probability that left and right are exchanged (None where nothing is known of them)."""
+    the probability that left and right are exchanged, of several views in that where it is greatest
+    (None where nothing is known of them)."""
     status, counts = np.unique(summary.status.values, return_counts=True)
     rows = zip(
         summary.frame.values,
@@ -32,7 +35,7 @@ def stream_json(summary: xr.Dataset) -> dict[str, Any]:
         summary.num_draws.values,
         summary.log_evidence.values,
         summary.effective_roots.values,
-        summary.exchange.values[:, 1:].sum(axis=1),
+        summary.exchange.values[..., 1:].sum(axis=-1).reshape(len(summary.frame), -1).max(axis=1),
         strict=True,
     )
     frames = [
@@ -77,9 +80,13 @@ def people_of_film(summary: xr.Dataset) -> Sheet:
 
 
 def film_table(summary: xr.Dataset) -> Sheet:
-    """Each joint of the limbs: how well its depth is known over all frames, and where worst."""
+    """Each joint of the limbs: how well its depth is known over all frames, of calibrated cameras
+    its place, and where worst."""
     there = np.flatnonzero(summary.num_draws.values > 0)
-    depth = summary.sd.sel(axis="z").values[there]
+    in_world = UNIT in summary.attrs
+    unit_mm = summary.attrs[UNIT] if in_world else MILLIMETRES
+    spread = summary.sd.values[there]
+    depth = np.linalg.norm(spread, axis=-1) if in_world else spread[..., 2]
     several = len({person for _, person in _names(summary)}) > 1
     names = [
         f"{frame}, person {person}" if several else frame
@@ -89,7 +96,7 @@ def film_table(summary: xr.Dataset) -> Sheet:
         {
             "joint": JOINTS[joint],
             "median_sd": float(np.median(depth[:, joint])),
-            "median_sd_mm": float(np.median(depth[:, joint])) * MILLIMETRES,
+            "median_sd_mm": float(np.median(depth[:, joint])) * unit_mm,
             "least_sd": float(depth[:, joint].min()),
             "most_sd": float(depth[:, joint].max()),
             "most_in": names[int(np.argmax(depth[:, joint]))],
@@ -98,13 +105,18 @@ def film_table(summary: xr.Dataset) -> Sheet:
     ]
     columns = [
         Column("joint", form=spoken, left=True),
-        Column("sd of depth", "median_sd", fixed(2)),
+        Column("sd" if in_world else "sd of depth", "median_sd", fixed(2)),
         Column("mm", "median_sd_mm", fixed(0)),
         Column("least", "least_sd", fixed(2)),
         Column("most", "most_sd", fixed(2)),
         Column("in frame", "most_in", left=True),
     ]
     caption = f"sd: standard deviation of depth behind the pelvis, median over frames. {UNIT_NOTE}."
+    if in_world:
+        caption = (
+            "sd: standard deviation from the pelvis, of all axes together, median over frames."
+            f" 1 body unit = {unit_mm:.0f} mm."
+        )
     return Sheet(columns, records, "The film", caption)
 
 
@@ -139,17 +151,26 @@ def stream_lines(summary: xr.Dataset, fragments: Sequence[str] = ()) -> list[str
 
 class Misread(NamedTuple):
     """Frames one after the other, `first` to `last`, in which left and right of the same parts are
-    exchanged, more probably than not; the least of the probabilities, and how many frames."""
+    exchanged, more probably than not; the least of the probabilities, how many frames, and in which
+    view of several."""
 
     first: str
     last: str
     pattern: str
     share: float
     number: int
+    view: str = ""
 
 
 def misread(summary: xr.Dataset) -> list[Misread]:
-    """Where left and right are exchanged, by person and in their order."""
+    """Where left and right are exchanged, by view, by person, and in their order."""
+    if "view" not in summary.exchange.dims:
+        return _misread(summary)
+    views = [summary.isel(view=row) for row in range(summary.sizes["view"])]
+    return [one._replace(view=str(own.view.values)) for own in views for one in _misread(own)]
+
+
+def _misread(summary: xr.Dataset) -> list[Misread]:
     owner = np.array([person for _, person in _names(summary)])
     share = np.nan_to_num(summary.exchange.values[:, 1:])
     total = share.sum(axis=1)
@@ -171,19 +192,20 @@ def fault_lines(summary: xr.Dataset) -> list[str]:
     if runs:
         each = [
             f"{run.first}{'' if run.number == 1 else f' to {run.last}'}"
-            f" ({run.pattern}, {100 * run.share:.0f} %)"
+            f"{run.view and f' of {run.view}'} ({run.pattern}, {100 * run.share:.0f} %)"
             for run in runs[:MOST_RUNS]
         ]
         more = f" and {len(runs) - MOST_RUNS} more" if len(runs) > MOST_RUNS else ""
         total = sum(run.number for run in runs)
         frames = _count(total, "frame")
         lines.append(f"left and right are exchanged in {frames}: {', '.join(each)}{more}")
-    wrong = (summary.outlier.values > BELIEVED).sum(axis=0)
+    wrong = (summary.outlier.values > BELIEVED).sum(axis=0).reshape(-1, len(JOINTS)).sum(axis=0)
     if wrong.any():
+        times = "time" if "view" in summary.outlier.dims else "frame"
         worst = int(np.argmax(wrong))
         lines.append(
             f"{_count(int(wrong.sum()), 'keypoint')} probably wrong, the {spoken(JOINTS[worst])}"
-            f" most often ({_count(int(wrong[worst]), 'frame')})"
+            f" most often ({_count(int(wrong[worst]), times)})"
         )
     return lines
 

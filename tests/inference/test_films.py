@@ -142,19 +142,33 @@ def test_no_other_order_of_torsos_moves_less(drawn, like):
     assert moved(second.parts.turn) > best + 0.1
 
 
-def test_limbs_are_where_their_images_were(drawn, like):
-    """How far a limb lies beside its own image when it hangs from another torso, by putting it
-    there."""
+@pytest.mark.parametrize("in_world", [True, False])
+def test_torsos_that_are_turned_alike_are_known_by_their_places(moving, in_world):
+    """If cameras know these; otherwise their order is any."""
+    parts, body = moving
+    alike = parts._replace(turn=np.broadcast_to(parts.turn[:1, :1], parts.turn.shape))
+    frames, orders = shuffled((alike, body))
+    random = np.random.default_rng(0)
+    found = coupled(frames, body, random, lasting=math.inf, in_world=in_world)
+    kept = [np.array_equal(one.place, alike.place[0][orders[0]]) for one in found]
+    assert all(kept) == in_world
+    assert kept[0]
+
+
+@pytest.mark.parametrize("known", [2, 3])
+def test_limbs_are_where_their_images_were(drawn, like, known):
+    """How far a limb lies beside its own image, or place, when it hangs from another torso, by
+    putting it there."""
     joints, length = drawn
     parts, body = taken_apart(joints, length, like)
     for bones in LIMB_BONES:
-        found = _beside(parts.turn, body, Frame(parts, joints, 0.1), bones)
+        found = _beside(parts.turn, body, Frame(parts, joints, 0.1), bones, known)
         np.testing.assert_allclose(np.diag(found), 0, atol=1e-12)
         row, column = 2, 9
         direction = np.broadcast_to(parts.direction[column], parts.direction.shape)
         there = put_together(parts._replace(direction=direction), body)[row]
         ends = [BONES[bone].end for bone in bones]
-        apart = np.square(there[ends, :2] - joints[column][ends, :2]).sum()
+        apart = np.square(there[ends, :known] - joints[column][ends, :known]).sum()
         assert found[row, column] == pytest.approx(apart)
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from poseterior.inference import film_draws
-from poseterior.probmodel.skeleton import BONES
+from poseterior.probmodel.skeleton import BONES, JOINT_INDEX
 from tests.conftest import Cli
+from tests.filmed import filmed, moving, write_session
 from tests.reports.test_frames_command import film
 
 OPTIONS = ("--num-samples", 12, "--k", 2, "--root", "fixed", "--errors", "disc", "--quiet")
@@ -125,3 +126,56 @@ def test_a_stream_is_made_a_film_if_its_draws_were_kept(poseterior: Cli, tmp_pat
     assert run.code == 2
     assert "no draws were kept" in run.err
     assert "--keep" in run.err
+
+
+def test_what_calibrated_cameras_do_not_know_is_refused(poseterior: Cli, tmp_path: Path) -> None:
+    """One sentence, before anything is drawn."""
+    folder, out = tmp_path / "session", tmp_path / "out"
+    write_session(filmed(moving(2), np.zeros((4, 2, 15, 2))), folder)
+    plain = film(tmp_path / "film.json", NAMES)
+    seen = "means nothing of calibrated cameras"
+    for arguments, words in [
+        (("film", folder, "--fps", 30, "--roots", 50), f"--roots {seen}"),
+        (("film", folder, "--fps", 30, "--person", 0), f"--person {seen}"),
+        (("film", folder, "--fps", 30, "--candidates", 1), f"--candidates {seen}"),
+        (("frames", folder, "--focal", 1650), f"--focal {seen}"),
+        (("frames", folder, "--composed"), f"--composed {seen}"),
+        (("hypotheses", folder, "--upright", 20), f"--upright {seen}"),
+        (("frames", folder, "--cameras", "1,9"), "it has those from 1 to 4"),
+        (("frames", folder, "--cameras", "a"), "--cameras a is no list of numbers"),
+        (("frames", plain, "--cameras", "1"), "--cameras is of calibrated cameras"),
+    ]:
+        run = poseterior(*arguments, "--out", out, "--quiet")
+        assert run.code == 2, run
+        assert words in run.err, run
+        assert run.err.count("\n") == 1
+        assert not out.exists()
+
+
+@pytest.mark.slow
+def test_a_film_of_calibrated_cameras_stands_in_their_world(
+    poseterior: Cli, tmp_path: Path
+) -> None:
+    """In millimetres, where the person is; measured and exported without a height."""
+    joints, out = moving(3), tmp_path / "out"
+    errors = np.random.default_rng(3).normal(0, 8, (4, 3, 15, 2))
+    write_session(filmed(joints, errors), tmp_path / "session")
+    options = ("--cameras", "1,2", "--num-samples", 40, "--k", 2, "--out", out)
+    run = poseterior("film", tmp_path / "session", "--fps", 30, *options)
+    assert run.code == 0, run
+    assert "3 frames of 1 person: 3 complete" in run.out
+    assert "40 paths, each of one body; film_draws opens them. Where joints are" in run.out
+    assert "1 body unit = " in run.out
+    assert (out / "depth.png").stat().st_size > 10_000
+    page = (out / "hypotheses.html").read_text()
+    assert "standard deviation from the pelvis" in page
+    kept = poseterior("export", out, "--to", "npz", "--out", tmp_path / "x.npz")
+    assert "the origin of the calibration at the origin" in kept.out, kept
+    with np.load(tmp_path / "x.npz") as arrays:
+        pelvis = arrays["joints"][:, JOINT_INDEX["pelvis"]]
+    hips = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
+    middle = joints[:, hips].mean(axis=1)[:, [0, 2, 1]] * [1, 1, -1]
+    assert np.abs(pelvis - middle).max() < 200, "where the person stands, y up"
+    measured = poseterior("measure", out, "--measure", "right_knee_flexion")
+    assert measured.code == 0, measured
+    assert "the calibration's axis z" in " ".join(measured.out.split())

@@ -27,5 +27,6 @@ from .sampler import SAMPLERS as SAMPLERS
 from .sampler import sample as sample
 from .stream import Item as Item
 from .stream import draws_of as draws_of
+from .stream import items_of as items_of
 from .stream import open_stream as open_stream
 from .stream import sample_frames as sample_frames

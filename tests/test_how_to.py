@@ -1,6 +1,7 @@
 """The how-to pages: what they tell people to type and to run does run, page by page, in order, in a
 folder with the files that they name."""
 
+import dataclasses
 import json
 import re
 import shlex
@@ -18,6 +19,7 @@ from poseterior.probmodel.example import example
 from poseterior.probmodel.layouts import COCO_17
 from poseterior.probmodel.skeleton import JOINT_INDEX
 from tests.conftest import SHARED, Cli
+from tests.filmed import filmed, moving, write_session
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, landmarks, npy, table
 from tests.test_snippets import Snippet, run
 
@@ -66,6 +68,8 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "video.csv").write_text(table(deeplabcut_rows(parts=odd)))
     (tmp_path / "names.json").write_text('{"paw_r": "right_wrist", "paw_l": "left_wrist"}')
     (tmp_path / "points.npy").write_bytes(npy(coco(person)[None]))
+    session = filmed(moving(3), np.random.default_rng(0).normal(0, 8, (4, 3, 15, 2)))
+    write_session(dataclasses.replace(session, numbers=(19, 20, 21)), tmp_path / "session")
     if SHARED.is_dir():
         shutil.copy(SHARED / "bvh" / "cmu_131_03.bvh", tmp_path / "walk.bvh")
     return tmp_path

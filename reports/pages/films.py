@@ -387,16 +387,26 @@ HEAD = (
 
 
 def _cells(way: str, films: list[TrueFilm], judged: list[PathsJudged]) -> list[str]:
-    covered = 100 * np.mean([one.covered for one in judged], axis=0)
-    shares = [" / ".join(f"{axis:.0f}" for axis in row) for row in covered]
+    shares = [held_of(judged, slice(kind, kind + 1)) for kind in range(1 + len(LAGS))]
     width = np.mean([one.width for one in judged], axis=0)
     if way == HEAVIEST:
-        shares = wide = [NOTHING] * len(covered)
+        shares = wide = [NOTHING] * len(shares)
     else:
         wide = [" / ".join(f"{axis:.0f}" for axis in row) for row in width]
     means = [float(np.mean([getattr(one, name) for one in judged])) for name in ("error", "jitter")]
     true = float(np.mean([jitter(about_hips(film.truth)) for film in films]))
     return [*shares, *wide, f"{means[0]:.0f}", f"{means[1]:.1f}", f"{true:.1f}"]
+
+
+def held_of(judged: list[PathsJudged], kinds: slice) -> str:
+    """How often intervals hold, %, by axis, of coordinates or of changes."""
+    covered = 100 * np.mean([one.covered for one in judged], axis=0)[kinds]
+    return ", and ".join(" / ".join(f"{axis:.0f}" for axis in row) for row in covered)
+
+
+def depth_of(judged: list[PathsJudged]) -> str:
+    """mm: the median width of coordinates along the last axis."""
+    return f"{np.mean([one.width[0, 2] for one in judged]):.0f}"
 
 
 def measured(films: list[TrueFilm], work: Path) -> Measured:
@@ -469,6 +479,9 @@ def main(data: Data, work: Work) -> Page:
     focal_within, pairs_within, captured_within = (
         within(one.scores) for one in of_measures.values()
     )
+    judged_focal, judged_pairs = (
+        rows_of(real[name], work)[FILM_WAY] for name in ("beam, `--focal`", PAIRS)
+    )
     constant, slow, quick = (f"{100 * share:.0f}" for share in ERROR_SHARES)
     values: dict[str, str | int | Sheet] = {
         "constant": constant,
@@ -483,6 +496,10 @@ def main(data: Data, work: Work) -> Page:
         "measures": overview(of_measures),
         "focal_within": focal_within,
         "pairs_within": pairs_within,
+        "focal_depth": depth_of(judged_focal),
+        "pairs_depth": depth_of(judged_pairs),
+        "pairs_held": held_of(judged_pairs, slice(1)),
+        "pairs_changes": held_of(judged_pairs, slice(1, None)),
         "captured_within": captured_within,
         "people": len(held),
         "rated": RATED_PEOPLE,

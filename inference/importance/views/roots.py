@@ -18,7 +18,7 @@ from scipy.special import gammaln, logsumexp
 
 from poseterior.inference.resampling import effective
 from poseterior.probmodel.body import align_torsos
-from poseterior.probmodel.errors.faults import LIMB_INDEX, NUM_EXCHANGES, ORDERS
+from poseterior.probmodel.errors.faults import LIMB_INDEX, MOVES_TORSO, NUM_EXCHANGES, ORDERS
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.instant import InstantPosterior
 from poseterior.probmodel.root_priors import MEDIAN_SIZE, SIZE_SD
@@ -45,6 +45,8 @@ EVEN_TORSOS = 1.0
 all are alike: one that was hardly tried is not known to be a bad one."""
 OF_PRIOR_EXCHANGES = 0.1
 """What proposals of exchanges keep of the prior."""
+PLAIN = 3.0
+"""Log odds from which an exchange of the torso's sides is taken for certain by a fit."""
 FEWEST_JOINTS = 3
 """Of the torso, that two cameras must see."""
 TURN, SIZE, PLACE, LENGTHS_STEP = slice(0, 3), 3, slice(4, 7), slice(7, 12)
@@ -229,11 +231,12 @@ def _moved(start: WorldBodies, step: np.ndarray) -> WorldBodies:
 def fitted(posterior: InstantPosterior) -> BodyProposal:
     """The first proposal. Raises `BadInput` where two cameras do not see enough of the torso, or it
     is behind one of them."""
-    points, *beside = _triangulated(posterior)
+    turned = _turned(posterior)
+    points, *beside = _triangulated(posterior, turned)
     _require_torso(posterior, points)
     torsos = np.asarray(posterior.model.torsos)
     start = _aligned(torsos, points, posterior.root_prior.pointing.shape)
-    fit, factor = _Fit(posterior, torsos).run(start, points)
+    fit, factor = _Fit(posterior, torsos, turned).run(start, points)
     # Evenly: what chooses among torsos are the limits, of which a fit knows nothing. By the fits'
     # own evidence, even tempered, fewer roots were effective.
     share = np.full(len(torsos), 1 / len(torsos))
@@ -243,13 +246,36 @@ def fitted(posterior: InstantPosterior) -> BodyProposal:
     return BodyProposal(fit, factor, share[None], middle, spread, exchanges)
 
 
-def _triangulated(posterior: InstantPosterior) -> np.ndarray:
-    """`(1 + C, 15, 3)` mm: the joints as all views see them, and as all but each do; NaN where
-    fewer than two see one."""
+def _turned(posterior: InstantPosterior) -> np.ndarray:
+    """`(C,)`: the exchanges of views in which sides of the torso are plainly exchanged, which would
+    lead a fit astray: view by view, first where the keypoints come nearest to what the others see.
+    Of two views nobody says which it is."""
+    found = np.zeros(len(posterior.detected.views), int)
+    if len(found) < 3:
+        return found
+    for _ in found:
+        _, *beside = _triangulated(posterior, found)
+        score = _scores(posterior, beside)
+        best = np.argmax(score, axis=1)
+        gain = score[np.arange(len(found)), best] - score[:, 0]
+        gain[(found > 0) | ~MOVES_TORSO[best]] = 0.0
+        view = int(np.argmax(gain))
+        if gain[view] < PLAIN:
+            break
+        found[view] = best[view]
+    return found
+
+
+def _triangulated(posterior: InstantPosterior, exchange: np.ndarray) -> np.ndarray:
+    """`(1 + C, 15, 3)` mm: the joints as all views see them under exchanges `(C,)`, and as all but
+    each do; NaN where fewer than two see one."""
     instant = posterior.detection
+    order = ORDERS[exchange]
     spread = np.stack([view.spread for view in posterior.detected.views])
+    spread = np.take_along_axis(spread, order, axis=1)
     counts, number = np.isfinite(spread), len(spread)
-    xy = np.where(counts[..., None], instant.keypoints, np.nan)
+    keypoints = np.take_along_axis(instant.keypoints, order[..., None], axis=1)
+    xy = np.where(counts[..., None], keypoints, np.nan)
     trust = np.where(counts, 1 / spread, 0.0)
     used = np.column_stack([np.ones(number), 1 - np.eye(number)])
     every = np.repeat(xy[:, None], 1 + number, axis=1)
@@ -301,18 +327,21 @@ def _factor(covariance: np.ndarray, widest: np.ndarray) -> np.ndarray:
 class _Fit:
     """Robust least squares of all keypoints in all views, for every torso at once: of a step of the
     body, of the images' shifts, and of the limbs' joints, which hang on bones that are nearly
-    stiff."""
+    stiff; under exchanges `(C,)`."""
 
-    def __init__(self, posterior: InstantPosterior, torsos: np.ndarray) -> None:
+    def __init__(
+        self, posterior: InstantPosterior, torsos: np.ndarray, exchange: np.ndarray
+    ) -> None:
         views, lengths = posterior.detected.views, posterior.model.lengths
         low, high, alpha, beta = (np.asarray(part) for part in lengths)
         self.mean = low + (high - low) * alpha / (alpha + beta)
         self.sd = (high - low) * np.sqrt(alpha * beta / (alpha + beta + 1)) / (alpha + beta)
         self.torsos = torsos
         self.cameras = [view.camera for view in posterior.detection.views]
-        self.detected = np.stack([np.asarray(view.keypoints) for view in views])
-        self.spread = np.stack([np.asarray(view.spread) for view in views])
-        self.bias = np.stack([np.asarray(view.bias) for view in views])
+        seen = [(view, ORDERS[own]) for view, own in zip(views, exchange, strict=True)]
+        self.detected = np.stack([np.asarray(view.keypoints)[own] for view, own in seen])
+        self.spread = np.stack([np.asarray(view.spread)[own] for view, own in seen])
+        self.bias = np.stack([np.asarray(view.bias)[own] for view, own in seen])
         self.defined = [view.definition for view in views]
         self.shift = np.asarray(posterior.root_prior.pointing).ravel()
         self.widest = np.append(WIDEST, WIDEST_SHIFT * self.shift)
@@ -428,15 +457,19 @@ def _exchanges(
     """`(C, 6)`: by which exchanges are proposed: by how near each would bring a view's keypoints to
     what the others see, `beside` it, `(15, 3)` each; to what all see, `points`, where there are
     but two."""
-    found = []
-    for index, (prior, own) in enumerate(zip(posterior.faults.views, beside, strict=True)):
-        with np.errstate(divide="ignore"):
-            score = _nearness(posterior, index, own if len(beside) > 2 else points)
-            score += np.log(prior.exchange_probabilities)
-        share = np.exp(score - logsumexp(score))
-        kept = OF_PRIOR_EXCHANGES * prior.exchange_probabilities
-        found.append((1 - OF_PRIOR_EXCHANGES) * share + kept)
-    return np.stack(found)
+    score = _scores(posterior, beside if len(beside) > 2 else [points] * len(beside))
+    share = np.exp(score - logsumexp(score, axis=1, keepdims=True))
+    prior = np.stack([own.exchange_probabilities for own in posterior.faults.views])
+    return (1 - OF_PRIOR_EXCHANGES) * share + OF_PRIOR_EXCHANGES * prior
+
+
+def _scores(posterior: InstantPosterior, points: Sequence[np.ndarray]) -> np.ndarray:
+    """`(C, 6)`: about the log posterior of each view's exchanges, if joints are at `points`
+    `(15, 3)`, for each view its own."""
+    prior = np.stack([own.exchange_probabilities for own in posterior.faults.views])
+    near = [_nearness(posterior, index, own) for index, own in enumerate(points)]
+    with np.errstate(divide="ignore"):
+        return np.stack(near) + np.log(prior)
 
 
 def _nearness(posterior: InstantPosterior, index: int, points: np.ndarray) -> np.ndarray:

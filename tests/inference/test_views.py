@@ -615,9 +615,9 @@ def exchanged(instant: Instant, view: int, what: str) -> Instant:
 def test_a_view_whose_torso_is_turned_round_is_known_before_a_fit(
     model: PoseModel, number: int
 ) -> None:
-    """In each view of ten bodies that stand anyhow, some of them so that hips hide each other: at
+    """In each view of five bodies that stand anyhow, some of them so that hips hide each other: at
     least nine of ten, in no other view, and nobody where nothing is exchanged."""
-    points, _, world = bodies(model, 10, seed=3)
+    points, _, world = bodies(model, 5, seed=3)
     clean = dataclasses.replace(FAULTY, faults=FaultPrior())
     hits = 0
     for row, size in enumerate(np.exp(points.log_size)):
@@ -627,7 +627,7 @@ def test_a_view_whose_torso_is_turned_round_is_known_before_a_fit(
             found = _turned(exchanged(instant, view, "body").posterior(model))
             assert not np.delete(found, view).any()
             hits += found[view] == EXCHANGE_INDEX["body"]
-    assert hits >= 9 * number
+    assert hits >= 0.9 * 5 * number
 
 
 @pytest.mark.slow

@@ -83,6 +83,8 @@ def write_session(
             path = folder / "pose" / f"{label}_json" / f"{label}_{number:06}.json"
             path.write_text(json.dumps(openpose([person.keypoints], layout)))
     write = write_toml if calibration.endswith(".toml") else write_qualisys
+    if calibration == "intri.yml":
+        write = write_easymocap
     (folder / "calibration").mkdir()
     write(session.cameras, folder / "calibration" / calibration)
 
@@ -142,3 +144,34 @@ def write_toml(views: tuple[Pinhole, ...], path: Path) -> None:
             "fisheye = false",
         ]
     path.write_text("\n".join([*lines, "[metadata]", "adjusted = false", "error = 0.0"]))
+
+
+def write_easymocap(views: tuple[Pinhole, ...], path: Path) -> None:
+    """EasyMocap's two files, written from its description: RX + T, metres, as OpenCV's FileStorage
+    writes them; every second camera has its rotation as a matrix."""
+    names = [f"cam{number}" for number in range(1, len(views) + 1)]
+    head = ["%YAML:1.0", "---", "names:", *(f'  - "{name}"' for name in names)]
+    inner, outer = list(head), list(head)
+    for number, (name, camera) in enumerate(zip(names, views, strict=True)):
+        matrix = np.diag([*camera.focal, 1.0])
+        matrix[:2, 2] = camera.principal
+        inner += _opencv(f"K_{name}", matrix)
+        inner += _opencv(f"dist_{name}", np.array([camera.distortion]))
+        vector = Rotation.from_matrix(camera.rotation).as_rotvec()
+        turn = ("Rot", camera.rotation) if number % 2 else ("R", vector[:, None])
+        outer += _opencv(f"{turn[0]}_{name}", turn[1])
+        outer += _opencv(f"T_{name}", -camera.rotation @ camera.centre[:, None] / 1000)
+    path.write_text("\n".join(inner) + "\n")
+    path.with_name("extri.yml").write_text("\n".join(outer) + "\n")
+
+
+def _opencv(name: str, matrix: np.ndarray) -> list[str]:
+    rows, columns = matrix.shape
+    numbers = ", ".join(repr(float(one)) for one in matrix.ravel())
+    return [
+        f"{name}: !!opencv-matrix",
+        f"   rows: {rows}",
+        f"   cols: {columns}",
+        "   dt: d",
+        f"   data: [ {numbers} ]",
+    ]

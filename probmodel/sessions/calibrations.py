@@ -1,7 +1,8 @@
-"""Files of calibrated cameras: Qualisys's `.qca.txt` (XML) and Pose2Sim's `.toml`.
+"""Files of calibrated cameras: Qualisys's `.qca.txt` (XML), the `.toml` of Pose2Sim, anipose and
+caliscope, and EasyMocap's `intri.yml` and `extri.yml`.
 
 Qualisys: with R the nine numbers r11 … r33 row by row, a point X of the world (mm) is at
-diag(1, -1, -1) R (X - c) in camera axes; `intrinsic` is in 64ths of a pixel. Pose2Sim: OpenCV's
+diag(1, -1, -1) R (X - c) in camera axes; `intrinsic` is in 64ths of a pixel. The others: OpenCV's
 conventions, a Rodrigues vector and a translation in metres from the world to the camera."""
 
 import itertools
@@ -17,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from poseterior.probmodel.detections import LARGEST_NUMBER
 from poseterior.probmodel.documents import read_text
 from poseterior.probmodel.failures import BadInput, shown
+from poseterior.probmodel.formats.frames import natural_order
 from poseterior.probmodel.sessions.pinhole import Pinhole
 
 LARGEST_CALIBRATION = 1_000_000
@@ -31,11 +33,20 @@ no room."""
 OBLONG = 2.0
 """How much longer than wide a pixel may be, or wider than long; those of cameras are square, or by
 a third off."""
-SUFFIXES = (".qca.txt", ".toml")
+SUFFIXES = (".qca.txt", ".toml", "intri.yml")
+EXTRINSICS = "extri.yml"
+"""Beside `intri.yml`: where its cameras stand."""
+_MATRIX = re.compile(
+    r"^(\w[\w.-]*):\s*!!opencv-matrix\s+rows:\s*(\d+)\s+cols:\s*(\d+)\s+dt:\s*\w+\s+"
+    r"data:\s*\[([^\]]*)\]",
+    re.MULTILINE,
+)
+_NAMES = re.compile(r"^names:\s*\n((?:[ \t]*-[^\n]*(?:\n|\Z))+)", re.MULTILINE)
 SUBPIXELS = 64
 FLIP = np.array([1.0, -1.0, -1.0])
 _PLACES = [f"r{row}{column}" for row, column in itertools.product("123", "123")]
-_WHAT, _ADVICE = "calibration", "give a Qualisys .qca.txt or a Pose2Sim .toml"
+_WHAT = "calibration"
+_ADVICE = "give a Qualisys .qca.txt, a Pose2Sim .toml, or EasyMocap's intri.yml and extri.yml"
 
 
 def is_calibration(path: Path) -> bool:
@@ -52,7 +63,9 @@ def read_cameras(path: Path) -> list[Pinhole]:
         Where it cannot be read, is none, or a camera's numbers are none of a camera.
     """
     text = read_text(path, _WHAT, _ADVICE, largest=LARGEST_CALIBRATION)
-    cameras = _toml(text, path) if path.name.lower().endswith(".toml") else _qualisys(text, path)
+    name = path.name.lower()
+    readers = zip(SUFFIXES, (_qualisys, _toml, _easymocap), strict=True)
+    cameras = next(read for suffix, read in readers if name.endswith(suffix))(text, path)
     if len(cameras) < 2:
         raise BadInput(
             f"{path} calibrates {len(cameras)} cameras; two at least are needed to see depth"
@@ -72,7 +85,8 @@ def _require_room(cameras: list[Pinhole], path: Path) -> None:
         far = int(np.argmax(nearest))
         raise BadInput(
             f"camera {far + 1} of {path} stands {nearest[far] / 1e6:,.0f} km from every other;"
-            " check its position, and that lengths are in the calibration's unit"
+            " check its position, and that lengths are in the calibration's unit (of .toml and .yml"
+            " metres)"
         )
     if nearest.min() < NEAREST_CAMERA:
         one = int(np.argmin(nearest))
@@ -139,6 +153,50 @@ def _toml(text: str, path: Path) -> list[Pinhole]:
         for name, table in tables.items()
         if isinstance(table, dict) and "matrix" in table
     ]
+
+
+def _easymocap(text: str, path: Path) -> list[Pinhole]:
+    """In the order of their names, as folders are sorted."""
+    beside = path.with_name(EXTRINSICS)
+    held = _matrices(text, path)
+    held |= _matrices(read_text(beside, _WHAT, _ADVICE, largest=LARGEST_CALIBRATION), beside)
+    listed = _NAMES.search(text)
+    if listed is None:
+        raise BadInput(f"{path} does not name its cameras (names); {_ADVICE}")
+    names = [line.strip(" \t-\"'\r") for line in listed[1].splitlines()]
+    return [
+        _toml_camera(_as_table(name, held), f"camera {shown(name)} of {path}")
+        for name in sorted(names, key=natural_order)
+    ]
+
+
+def _matrices(text: str, path: Path) -> dict[str, np.ndarray]:
+    """The matrices of a file that OpenCV's FileStorage wrote, by their names."""
+    found = {}
+    for name, rows, columns, data in _MATRIX.findall(text):
+        try:
+            found[name] = np.array([float(one) for one in data.split(",")]).reshape(
+                int(rows), int(columns)
+            )
+        except (ValueError, OverflowError):
+            raise BadInput(
+                f"{path}: {shown(name)} does not hold {rows} × {columns} numbers; {_ADVICE}"
+            ) from None
+    return found
+
+
+def _as_table(name: str, held: dict[str, np.ndarray]) -> dict[str, Any]:
+    """A camera's matrices as the entries of a `.toml`; what is missing is left out."""
+    wanted = {"matrix": "K", "rotation": "R", "translation": "T", "distortions": "dist"}
+    found = {ours: held.get(f"{own}_{name}") for ours, own in wanted.items()}
+    turn = held.get(f"Rot_{name}")
+    if found["rotation"] is None and turn is not None and turn.shape == (3, 3):
+        found["rotation"] = Rotation.from_matrix(turn).as_rotvec()
+    return {
+        ours: matrix if ours == "matrix" else matrix.ravel()
+        for ours, matrix in found.items()
+        if matrix is not None
+    }
 
 
 def _toml_camera(table: dict[str, Any], where: str) -> Pinhole:

@@ -1,8 +1,8 @@
 """A session: what several calibrated, synchronised cameras detected of one person.
 
-Pose2Sim's layout: a calibration in the folder or in `calibration/`, and a folder of detections for
-each camera in it or in `pose/`, which sorted by name are the calibration's cameras in its order.
-Frames are matched by the last number in their names.
+Pose2Sim's layout, and EasyMocap's: a calibration in the folder or in `calibration/`, and a folder
+of detections for each camera in it, in `pose/` or in `openpose/`, which sorted by name are the
+calibration's cameras in its order. Frames are matched by the last number in their names.
 
     session = read_session("S01/")
     session.world.points         joints (frames, 15, 3), mm
@@ -49,10 +49,12 @@ ASSUMED_POINTING, ASSUMED_FREEDOM = 0.3, 2.0
 """Degrees by which a camera points beside its calibration, and as how many numbers that counts."""
 MOST_COMBINATIONS = 256
 """Of the people in a frame's views that are tried."""
+PLACES = ("pose", "openpose")
+"""Where Pose2Sim and EasyMocap have folders of detections."""
 _LIMBS = [row for row, bone in enumerate(BONES) if bone.name != "head"]
 _ADVICE = (
-    "give a folder with a calibration (.qca.txt or .toml) and a folder of detections for each"
-    " camera"
+    "give a folder with a calibration (.qca.txt, .toml, or intri.yml and extri.yml) and a folder of"
+    " detections for each camera"
 )
 
 
@@ -407,7 +409,8 @@ def _only(found: list[Path], path: Path) -> Path:
 
 def _view_folders(path: Path) -> list[Path]:
     """The folders that hold detections, sorted by name."""
-    place = path / "pose" if (path / "pose").is_dir() else path
+    inside = [path / name for name in PLACES if (path / name).is_dir()]
+    place = inside[0] if inside else path
     folders = [one for one in place.iterdir() if one.is_dir() and not one.name.startswith(".")]
     found = [one for one in folders if any(file.suffix == ".json" for file in sorted_files(one))]
     return sorted(found, key=lambda folder: natural_order(folder.name))

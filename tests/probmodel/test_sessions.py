@@ -44,6 +44,7 @@ from tests.filmed import (
     filmed,
     moving,
     openpose,
+    write_easymocap,
     write_qualisys,
     write_session,
     write_toml,
@@ -213,7 +214,7 @@ def test_along_the_line_of_sight_depth_is_away_from_the_camera(exact: Session):
 # --- files
 
 
-@pytest.mark.parametrize("name", ["calibration.qca.txt", "Calib_scene.toml"])
+@pytest.mark.parametrize("name", ["calibration.qca.txt", "Calib_scene.toml", "intri.yml"])
 def test_a_session_that_is_written_is_read(name: str, exact: Session, tmp_path: Path):
     write_session(exact.take(range(4)), tmp_path, name)
     assert is_session(tmp_path)
@@ -720,3 +721,28 @@ def test_cameras_in_step_are_not_accused() -> None:
 def test_of_few_cameras_or_frames_nothing_is_said_of_their_step() -> None:
     assert lags_of(walking(3, number=2)) is None
     assert lags_of(walking(3).take(range(20))) is None
+
+
+def test_easymocaps_files_that_are_none_are_refused(exact: Session, tmp_path: Path) -> None:
+    """One sentence each: what, where, what to do."""
+    inner, outer = tmp_path / "intri.yml", tmp_path / "extri.yml"
+    write_easymocap(exact.cameras, inner)
+    whole = {path: path.read_text() for path in (inner, outer)}
+    assert len(read_cameras(inner)) == 4
+    for path, old, new, words in [
+        (inner, "names:", "cameras:", "does not name its cameras"),
+        (inner, "K_cam2", "K_cam9", "camera 'cam2' of .*: matrix must be 3 × 3 numbers"),
+        (outer, "T_cam3", "T_cam9", "camera 'cam3' of .*: translation must be 3 numbers"),
+        (outer, "R_cam1", "Q_cam1", "camera 'cam1' of .*: rotation must be 3 numbers"),
+        (outer, "rows: 3", "rows: 4", "'R_cam1' does not hold 4 × 1 numbers"),
+        (outer, "rows: 3", f"rows: {10**30}", "does not hold"),
+        (outer, "data: [ ", "data: [ nan, ", "does not hold"),
+        (inner, "data: [ 1500.0", "data: [ inf", "not finite"),
+    ]:
+        path.write_text(whole[path].replace(old, new, 1))
+        with pytest.raises(BadInput, match=words):
+            read_cameras(inner)
+        path.write_text(whole[path])
+    outer.unlink()
+    with pytest.raises(BadInput, match="extri"):
+        read_cameras(inner)

@@ -47,9 +47,11 @@ BEYOND = 0.25
 """Body units: views whose median residual is larger are not of one person, or not calibrated."""
 ASSUMED_POINTING, ASSUMED_FREEDOM = 0.3, 2.0
 """Degrees by which a camera points beside its calibration, and as how many numbers that counts."""
+SHORTEST_UNIT, LONGEST_UNIT = 100.0, 800.0
+"""Millimetres between which a person's mean limb bone is long: those of grown people have 345."""
 MOST_COMBINATIONS = 256
 """Of the people in a frame's views that are tried."""
-PLACES = ("pose", "openpose")
+VIEW_PLACES = ("pose", "openpose")
 """Where Pose2Sim and EasyMocap have folders of detections."""
 _LIMBS = [row for row, bone in enumerate(BONES) if bone.name != "head"]
 _ADVICE = (
@@ -409,7 +411,7 @@ def _only(found: list[Path], path: Path) -> Path:
 
 def _view_folders(path: Path) -> list[Path]:
     """The folders that hold detections, sorted by name."""
-    inside = [path / name for name in PLACES if (path / name).is_dir()]
+    inside = [path / name for name in VIEW_PLACES if (path / name).is_dir()]
     place = inside[0] if inside else path
     folders = [one for one in place.iterdir() if one.is_dir() and not one.name.startswith(".")]
     found = [one for one in folders if any(file.suffix == ".json" for file in sorted_files(one))]
@@ -519,7 +521,13 @@ def _agree(cameras: Sequence[Pinhole], people: Sequence[Sequence[Detection]]) ->
 
 
 def _require_fit(session: Session, calibration: Path) -> None:
-    """Raises `BadInput` where one camera stands apart from the others."""
+    """Raises `BadInput` where one camera stands apart from the others, or nobody is so large."""
+    if not SHORTEST_UNIT <= session.unit <= LONGEST_UNIT:
+        raise BadInput(
+            f"by {calibration.name} limbs of the person are {session.unit:,.3g} mm long (their"
+            " mean), which nobody's are; lengths of a .qca.txt are millimetres, those of .toml and"
+            " .yml metres: scale its positions"
+        )
     for label, apart in zip(session.labels, session.apart, strict=True):
         middle = np.nanmedian(apart)
         if not middle <= BEYOND * session.unit:  # true for NaN too

@@ -746,3 +746,17 @@ def test_easymocaps_files_that_are_none_are_refused(exact: Session, tmp_path: Pa
     outer.unlink()
     with pytest.raises(BadInput, match="extri"):
         read_cameras(inner)
+
+
+@pytest.mark.parametrize("times", [0.1, 10.0])
+def test_a_person_whom_a_wrong_unit_makes_too_large_is_refused(
+    times: float, exact: Session, tmp_path: Path
+) -> None:
+    """Centimetres, where metres are meant, and the other way round."""
+    cameras = [dataclasses.replace(one, centre=times * one.centre) for one in exact.cameras]
+    session = dataclasses.replace(exact.take(range(3)), cameras=tuple(cameras))
+    write_session(session, tmp_path)
+    with pytest.raises(
+        BadInput, match=r"limbs of the person are .* mm long .* scale its positions"
+    ):
+        read_session(tmp_path)

@@ -45,7 +45,7 @@ EVEN_TORSOS = 1.0
 all are alike: one that was hardly tried is not known to be a bad one."""
 OF_PRIOR_EXCHANGES = 0.1
 """What proposals of exchanges keep of the prior."""
-PLAIN = 3.0
+CERTAIN_ODDS = 3.0
 """Log odds from which an exchange of the torso's sides is taken for certain by a fit."""
 FEWEST_JOINTS = 3
 """Of the torso, that two cameras must see."""
@@ -260,7 +260,7 @@ def _turned(posterior: InstantPosterior) -> np.ndarray:
         gain = score[np.arange(len(found)), best] - score[:, 0]
         gain[(found > 0) | ~MOVES_TORSO[best]] = 0.0
         view = int(np.argmax(gain))
-        if gain[view] < PLAIN:
+        if gain[view] < CERTAIN_ODDS:
             break
         found[view] = best[view]
     return found

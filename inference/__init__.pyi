@@ -12,6 +12,8 @@ from .evidences import evidence as evidence
 from .films.film import film_draws as film_draws
 from .films.film import film_of as film_of
 from .films.film import sample_film as sample_film
+from .footage import Footage as Footage
+from .footage import Item as Item
 from .hypothesis import Hypothesis as Hypothesis
 from .hypothesis import diverse as diverse
 from .hypothesis import grid_poses as grid_poses
@@ -25,8 +27,6 @@ from .resident import resident_draws as resident_draws
 from .results import Result as Result
 from .sampler import SAMPLERS as SAMPLERS
 from .sampler import sample as sample
-from .stream import Item as Item
 from .stream import draws_of as draws_of
-from .stream import items_of as items_of
 from .stream import open_stream as open_stream
 from .stream import sample_frames as sample_frames

@@ -28,6 +28,7 @@ import xarray as xr
 from poseterior.inference.composition import compose
 from poseterior.inference.draws import MAX_PROPOSALS, Draws, key_of, key_words
 from poseterior.inference.estimators import Estimating
+from poseterior.inference.footage import Footage, Item
 from poseterior.inference.hypothesis import Hypothesis, diverse
 from poseterior.inference.machines import HERE, Machines, in_threads
 from poseterior.inference.results import provenance
@@ -36,7 +37,6 @@ from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.errors.faults import EXCHANGES, NUM_EXCHANGES
-from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.frames import DetectedFrame, frame_numbers
 from poseterior.probmodel.instant import Instant
@@ -45,7 +45,6 @@ from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.people import cast_of
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.root_priors import UNCERTAIN, WORLD
-from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.skeleton import (
     JOINT_INDEX,
     JOINTS,
@@ -67,23 +66,6 @@ MOST_TRACKS_NAMED = 12
 """People of a film that are described one by one."""
 _STREAM = "a stream of frames"
 Progress = Callable[[int], None]
-
-
-class Item(NamedTuple):
-    """A frame of a stream.
-
-    Attributes
-    ----------
-    name
-        Unlike any other's.
-    frame
-        The estimate; or the detection, which is estimated where its block is made, and not again;
-        or what calibrated cameras saw; or, where there is no pose to be told, the sentence that
-        says why.
-    """
-
-    name: str
-    frame: Estimate | Detection | Instant | str
 
 
 class PoseDraws(NamedTuple):
@@ -187,7 +169,6 @@ def sample_frames(
     composed: bool = False,
     keep: int = 0,
     max_proposals: int = MAX_PROPOSALS,
-    world: CalibratedWorld | None = None,
     machines: Machines = HERE,
     progress: Progress | None = None,
 ) -> Path:
@@ -202,7 +183,7 @@ def sample_frames(
     model
         The prior of poses.
     frames
-        Read as they are needed, in this process.
+        Read as they are needed, in this process; of calibrated cameras `Footage`.
     key
         Of all draws: the same key, the same bits, whoever draws.
     out
@@ -211,7 +192,7 @@ def sample_frames(
         How detections are estimated; not needed where all frames are estimates.
     sampler, root, num_roots, most_roots, num_samples
         As `inference.sample` takes them: what is drawn of every frame; by default from `MANY_ROOTS`
-        roots. In a world as `sample_instant` takes them, and there is one prior of roots alone.
+        roots. Of `Footage` as `sample_instant` takes them, and there is one prior of roots alone.
     k, composed
         How many hypotheses of each frame, and whether they are put together limb by limb
         (`inference.composition`), rather than draws.
@@ -219,8 +200,6 @@ def sample_frames(
         How many draws of each frame are written, of `DRAW_BYTES` each, for `draws_of`.
     max_proposals
         Most proposals for a frame.
-    world
-        Of frames that calibrated cameras saw (`Session.seen_by`).
     machines
         Who draws; blocks are written by this process.
     progress
@@ -235,8 +214,8 @@ def sample_frames(
     ------
     BadInput
         Where `out` holds another run, or another process is writing to it, where the numbers do not
-        go together, where a detection comes without `estimating`, or views without a `world`, and
-        as these and `sampler_of` do.
+        go together, where a detection comes without `estimating`, or views come without being
+        `Footage`, and as these and `sampler_of` do.
     """
     keep = min(keep, num_samples)
     if num_samples < 1 or not 1 <= k <= num_samples or keep < 0:
@@ -250,6 +229,7 @@ def sample_frames(
     folder = Path(out)
     size = frames_of_block(keep)
     words = np.asarray(jax.random.key_data(key))
+    world = frames.world if isinstance(frames, Footage) else None
     if world is not None:
         root = WORLD
         _require_whole(composed)
@@ -275,7 +255,7 @@ def sample_frames(
         "block": size,
         **draw.settings,
         **(estimating.settings if estimating else {}),
-        **(world.settings if world else {}),
+        **(frames.settings if isinstance(frames, Footage) else {}),
         "k": k,
         **({"composed": True} if composed else {}),
         "keep": keep,
@@ -290,7 +270,13 @@ def sample_frames(
 
     with locked(folder):
         store = Store.begin(folder, settings)
-        fill(store, machines, task, _blocks(_possible(frames, estimating, world), size), take)
+        fill(
+            store,
+            machines,
+            task,
+            _blocks(_possible(frames, estimating, world is not None), size),
+            take,
+        )
         store.finish(len(taken))
     return folder
 
@@ -415,30 +401,6 @@ def _held(summary: xr.Dataset, drawn: xr.Dataset, index: int) -> xr.Dataset:
     rows = drawn.isel(frame=index)
     held = min(int(summary.num_draws[index]), rows.sizes["draw"])
     return rows.isel(draw=slice(held)).expand_dims("chain")
-
-
-def items_of(
-    session: Session, cameras: Sequence[int] | None = None, likelihood: Likelihood | None = None
-) -> Iterator[Item]:
-    """The frames of calibrated cameras as items of a stream, named by their numbers.
-
-    Parameters
-    ----------
-    session
-        What they saw.
-    cameras
-        Which of them, counted from 0; by default all.
-    likelihood
-        How detections err; by default as `Session.instant` has it.
-
-    Raises
-    ------
-    BadInput
-        Where there is no such camera.
-    """
-    for number in session.numbers:
-        instant = session.instant(number, cameras)
-        yield Item(str(number), instant.judged_by(likelihood) if likelihood else instant)
 
 
 class People:
@@ -728,21 +690,15 @@ def groups_of(rows: list[FrameDraws], k: int) -> Groups:
 
 
 def _possible(
-    frames: Iterable[Item], estimating: Estimating | None, world: CalibratedWorld | None
+    frames: Iterable[Item], estimating: Estimating | None, footage: bool
 ) -> Iterator[Item]:
     """Frames, as they are read. Raises `BadInput` on a detection that nobody can estimate, and on
-    views and a world where not both are there."""
+    views that are of no footage."""
     for item in frames:
-        seen_by_several = isinstance(item.frame, Instant)
-        if seen_by_several and world is None:
+        if isinstance(item.frame, Instant) and not footage:
             raise BadInput(
-                f"{item.name} is of calibrated cameras; say of which world (`world`, as"
-                " `Session.seen_by` gives it)"
-            )
-        if world is not None and not seen_by_several and not isinstance(item.frame, str):
-            raise BadInput(
-                f"{item.name} is not of calibrated cameras, as all frames in a world are; leave it"
-                " out, or the `world`"
+                f"{item.name} is of calibrated cameras; give all of their frames together, as"
+                " `Footage`"
             )
         if estimating is None and isinstance(item.frame, Detection):
             raise BadInput(

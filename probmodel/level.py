@@ -3,7 +3,7 @@
 A calibration does not say it. But cameras stand upright, more or less, and a world has one of its
 axes vertical: the one that lies nearest to the mean of the cameras' own."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -91,11 +91,6 @@ class CalibratedWorld(NamedTuple):
     up: str
     unit_mm: float
     views: tuple[str, ...]
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Plain JSON values."""
-        return {"up": self.up, "unit_mm": self.unit_mm, "views": list(self.views)}
 
     def told(self, points: np.ndarray) -> np.ndarray:
         """Points `(..., 3)` in the world's axes, mm, in body units of level ones (`level_axes`).

@@ -533,23 +533,24 @@ OF_ONE_VIEW = (
     *("most_roots", "upright", "focal", "principal", "format", "threshold", "image", "image_size"),
     *("names", "correct"),
 )
-"""Options that mean nothing where calibrated cameras see one body."""
+"""Options that calibrated cameras, which see one body, do not have."""
 
 
 def require_meaning_in_views(given: Set[str]) -> None:
-    """Raises `BadInput` where an option was given that means nothing of calibrated cameras."""
+    """Raises `BadInput` where an option was given that is not of calibrated cameras."""
     for name in OF_ONE_VIEW:
         if name in given:
             raise BadInput(
-                f"--{name.replace('_', '-')} means nothing of calibrated cameras, who see one body"
-                " in the world; leave it out"
+                f"--{name.replace('_', '-')} is not of calibrated cameras, which see one body in"
+                " the world; leave it out"
             )
 
 
 def parse_cameras(text: str | None) -> list[int] | None:
-    """Cameras, counted from 0, from such as "1,3"; None, all. Raises `BadInput` otherwise."""
+    """Cameras, counted from 0, from such as "1,3", in their own order; None, all. Raises `BadInput`
+    otherwise."""
     try:
-        return [int(one) - 1 for one in text.split(",")] if text else None
+        return sorted(int(one) - 1 for one in text.split(",")) if text else None
     except ValueError:
         raise BadInput(f"--cameras {text} is no list of numbers; give one such as 1,3") from None
 

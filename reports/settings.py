@@ -57,6 +57,7 @@ from poseterior.reports.options import (
 
 if TYPE_CHECKING:
     from poseterior.inference.benchmark import Submission
+    from poseterior.inference.footage import Footage
     from poseterior.probmodel.datasets import DataSet
     from poseterior.probmodel.instant import Instant
     from poseterior.probmodel.measures import Measure
@@ -247,11 +248,14 @@ class _ManyFrames:
         return is_session(self.path)
 
     @functools.cached_property
-    def session(self) -> "Session":
-        """What calibrated cameras saw. Raises `BadInput` where it cannot be read."""
+    def footage(self) -> "Footage":
+        """What calibrated cameras filmed. Raises `BadInput` where it cannot be read, or there is no
+        such camera."""
+        from poseterior.inference.footage import Footage
         from poseterior.probmodel.sessions import read_session
 
-        return read_session(self.path, layout=self.detected.layout)
+        session = read_session(self.path, layout=self.detected.layout)
+        return Footage(session, parse_cameras(self.cameras), self.estimation.likelihood("learned"))
 
     def require_meaning(self, given: Set[str]) -> None:
         """As of `HypothesesSettings`."""
@@ -271,7 +275,7 @@ class _ManyFrames:
     @property
     def names(self) -> list[str]:
         """Of all frames."""
-        return list(map(str, self.session.numbers)) if self.is_session else self._film.names
+        return [one.name for one in self.footage] if self.is_session else self._film.names
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -299,16 +303,19 @@ class _ManyFrames:
     def check(self) -> None:
         """Reads all frames. Raises `BadInput` on a bad one, or where there is nobody."""
         if self.is_session:
-            self.session.instant(self.session.numbers[0], parse_cameras(self.cameras))
+            self.footage  # noqa: B018
             return
+        self._require_no_cameras()
+        if not self._film.sizes:
+            raise BadInput(
+                f"{self.path} has no person in it; choose one in which the detector found some"
+            )
+
+    def _require_no_cameras(self) -> None:
         if self.cameras:
             raise BadInput(
                 f"--cameras is of calibrated cameras, and {self.path} is no folder with a"
                 " calibration; leave it out"
-            )
-        if not self._film.sizes:
-            raise BadInput(
-                f"{self.path} has no person in it; choose one in which the detector found some"
             )
 
 
@@ -375,9 +382,11 @@ class FilmSettings(_ManyFrames):
         that cannot be made of them, too."""
         from poseterior.inference.films.film import require_film
 
-        if not self.drawn_before:
-            require_film(self.fps, self.cutoff, self.k, self.keep)
-            super().check()
+        if self.drawn_before:
+            self._require_no_cameras()
+            return
+        require_film(self.fps, self.cutoff, self.k, self.keep)
+        super().check()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,12 +24,12 @@ from poseterior.inference.estimators import Estimating
 from poseterior.inference.films.coupling import LASTING, Frame, coupled
 from poseterior.inference.films.gaps import filled
 from poseterior.inference.films.parts import Parts, PathBodies, put_together, taken_apart
+from poseterior.inference.footage import Footage, Item
 from poseterior.inference.hypothesis import Hypothesis, diverse
 from poseterior.inference.machines import HERE, Machines
 from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.inference.stream import (
     FrameDraws,
-    Item,
     PoseDraws,
     all_draws,
     frame_and_person,
@@ -45,7 +45,6 @@ from poseterior.inference.stream import (
 from poseterior.probmodel.body import mean_torso
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.formats.frames import named_by
-from poseterior.probmodel.level import CalibratedWorld
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.motion.lowpass import butterworth
 from poseterior.probmodel.root_priors import WORLD
@@ -83,7 +82,6 @@ def sample_film(
     most_roots: int | None = None,
     cutoff: float = CUTOFF,
     k: int = 5,
-    world: CalibratedWorld | None = None,
     machines: Machines = HERE,
     progress: Progress | None = None,
 ) -> Path:
@@ -104,11 +102,9 @@ def sample_film(
     num_paths
         How many paths.
     num_roots, most_roots
-        As `sample_frames` takes them; by default from `NUM_PATHS` roots, but in a world.
+        As `sample_frames` takes them; by default from `NUM_PATHS` roots, if it is no `Footage`.
     cutoff, k
         As `film_of` takes them.
-    world
-        As `sample_frames` takes it.
     machines
         Who draws.
     progress
@@ -131,12 +127,11 @@ def sample_film(
         key=key,
         out=Path(out) / FRAMES_FOLDER,
         estimating=estimating,
-        num_roots=NUM_PATHS if num_roots is None and world is None else num_roots,
+        num_roots=NUM_PATHS if num_roots is None and not isinstance(frames, Footage) else num_roots,
         most_roots=most_roots,
         num_samples=num_paths,
         keep=num_paths,
         k=1,
-        world=world,
         machines=machines,
     )
     return film_of(drawn, rate=rate, out=out, cutoff=cutoff, k=k, progress=progress)
@@ -210,7 +205,7 @@ def film_of(
         film = _paths(drawn, paths, pace, random, progress, in_world)
         parts = filled(film.parts, film.seen, pace, random)
         film = film._replace(parts=_without_quick(parts, pace, cutoff))
-        task = _Writing(drawn, film, film.chosen(k), k)
+        task = _Writing(drawn, film, film.chosen(k), k, in_world)
         made_of = {"frames": _fingerprint(drawn)}
         blocks = [
             Block(number, f"frames {some[0]} to {some[-1]}", made_of, len(some), some)
@@ -424,6 +419,7 @@ class _Writing:
     film: _Paths
     chosen: list[Hypothesis]
     k: int
+    in_world: bool
 
     def __call__(self, frames: Sequence[int]) -> Groups:
         joints = self.film.joints(frames)
@@ -432,7 +428,9 @@ class _Writing:
 
     def _frame(self, at: int, joints: np.ndarray) -> FrameDraws:
         moment = self.moments[at]
-        found = nothing_drawn(moment.name, FILLED, _without_pose(moment), self.k, len(joints))
+        found = nothing_drawn(
+            moment.name, FILLED, _without_pose(moment, self.in_world), self.k, len(joints)
+        )
         if moment.drawn is not None and moment.summary is not None:
             own = moment.summary
             found = found._replace(
@@ -449,10 +447,11 @@ class _Writing:
         return found.drawn(here, chosen)
 
 
-def _without_pose(moment: _Moment) -> str:
+def _without_pose(moment: _Moment, in_world: bool) -> str:
     """Why a frame has no pose of its own."""
     own = moment.summary
-    why = "nobody was detected there" if own is None else str(own.sentence.values)
+    missing = "not all cameras of the session see the person" if in_world else "nobody was detected"
+    why = f"{missing} there" if own is None else str(own.sentence.values)
     return f"filled from the frames before and after: {why}"
 
 

@@ -30,7 +30,6 @@ from poseterior.probmodel.formats.frames import (
     sorted_files,
 )
 from poseterior.probmodel.layouts import MIDPOINTS, midpoints_of
-from poseterior.probmodel.level import CalibratedWorld, up_of
 from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions.calibrations import is_calibration, read_cameras
 from poseterior.probmodel.sessions.pinhole import Pinhole
@@ -243,8 +242,8 @@ class Session:
 
         if frame not in self.numbers:
             raise BadInput(
-                f"{self.name} has no frame {frame} in which all cameras see the person; choose one"
-                f" from {min(self.numbers)} to {max(self.numbers)}"
+                f"{self.name} has no frame {frame} in which all cameras of the session see the"
+                f" person; choose one from {min(self.numbers)} to {max(self.numbers)}"
             )
         row = self.numbers.index(frame)
         views = zip(self.labels, self.straight, self.people, self.keypoints[:, row], strict=True)
@@ -257,13 +256,6 @@ class Session:
             self.pointing,
         ).judged_by(Likelihood.of(DetectorErrors.default()))
         return every if cameras is None else every.seen_by(cameras)
-
-    def seen_by(self, cameras: Sequence[int] | None = None) -> CalibratedWorld:
-        """By what a film of these cameras, or of all, is told: the axis that all have for up, and
-        the person's body unit."""
-        views = self.labels if cameras is None else [self.labels[one] for one in cameras]
-        up, _ = up_of(np.stack([one.rotation for one in self.cameras]))
-        return CalibratedWorld(up, self.unit, tuple(views))
 
     def take(self, rows: Sequence[int]) -> "Session":
         """Some of the frames."""

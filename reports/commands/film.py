@@ -34,10 +34,10 @@ def run(settings: FilmSettings, screen: Screen) -> None:
     frames.show(settings, fragments, screen)
     about = open_stream(out).attrs
     if not screen.json:
-        told = "Depth" if "views" not in about else "Where joints are"
+        told = "Depth in a frame is as open" if "views" not in about else "A frame says as much"
         console.say(
-            f"{about['keep']} paths, each of one body; film_draws opens them. {told} in a frame is"
-            " as open as in a single one: what paths add is how it changes, and gaps"
+            f"{about['keep']} paths, each of one body; film_draws opens them. {told} as"
+            " in a single one: what paths add is how it changes, and gaps"
         )
     if about["step"] > 1:
         warnings.append(

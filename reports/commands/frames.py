@@ -8,15 +8,9 @@ from typing import Any
 
 from rich.filesize import decimal
 
+from poseterior.inference.footage import Item
 from poseterior.inference.measured import measures
-from poseterior.inference.stream import (
-    DRAW_BYTES,
-    Item,
-    People,
-    items_of,
-    open_stream,
-    sample_frames,
-)
+from poseterior.inference.stream import DRAW_BYTES, People, open_stream, sample_frames
 from poseterior.probmodel import Detection, PoseModel
 from poseterior.probmodel.level import doubtful
 from poseterior.probmodel.measures import USUAL
@@ -24,7 +18,7 @@ from poseterior.probmodel.sessions.turning import said_of
 from poseterior.reports import console, doubts, figures, tables
 from poseterior.reports.interactive.film import film_page
 from poseterior.reports.interactive.page import write_page
-from poseterior.reports.options import Screen, parse_cameras
+from poseterior.reports.options import Screen
 from poseterior.reports.settings import FilmSettings, FramesSettings
 
 
@@ -92,19 +86,17 @@ def draw(
 def _draw_session(settings: FramesSettings | FilmSettings, out: Path, screen: Screen) -> list[str]:
     """Writes the draws of what calibrated cameras saw; says what is doubtful about them."""
     with console.progress("the session", screen.quiet):
-        session, cameras = settings.session, parse_cameras(settings.cameras)
-        model = settings.prior.model(rooted=True)
-        law = settings.estimation.likelihood("learned")
-        first = session.instant(session.numbers[0], cameras)
-        warnings = said_of(session, [view.label for view in first.views])
+        model, footage = settings.prior.model(rooted=True), settings.footage
+        session = footage.session
+        warnings = said_of(session, list(footage.world.views))
     if session.left_out:
         warnings.append(
-            f"in {session.left_out} of {session.left_out + len(session)} frames not all cameras see"
-            " the person, or their views do not agree: they are left out"
+            f"{session.left_out} of {session.left_out + len(session)} frames of {settings.path} are"
+            " not drawn: not all cameras of the session (also those not chosen) see the person"
+            " there, or their views do not agree"
         )
-    items, world = items_of(session, cameras, law), session.seen_by(cameras)
-    _fill(model, items, len(session), settings, out, screen, world=world)
-    return [*warnings, *doubtful(*first.up)]
+    _fill(model, footage, len(footage), settings, out, screen)
+    return [*warnings, *doubtful(*footage.first.up)]
 
 
 def _fill(

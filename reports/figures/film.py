@@ -45,12 +45,13 @@ def film_figure(summary: xr.Dataset) -> Figure:
     figure = page(FILM_WIDTH, HEIGHT, dpi=DPI)
     axes = figure.subplots(len(SHOWN_ENDS), len(people), sharex=True, sharey=True, squeeze=False)
     for column, person in enumerate(people):
+        shown = min(numbers) + step * np.arange(max(places) + 1)
         bands = np.full((max(places) + 1, *summary.depth.shape[1:]), np.nan)
         for row, (frame, one) in enumerate(names):
             if one == person:
                 bands[place[frame]] = summary.depth.values[row]
         for axis, end in zip(axes[:, column], SHOWN_ENDS, strict=True):
-            _draw_bands(axis, bands[:, JOINT_INDEX[end]], end)
+            _draw_bands(axis, shown, bands[:, JOINT_INDEX[end]], end)
         said = f", person {person}" if len(people) > 1 else ""
         along = "From the pelvis along the level axis z" if "view" in summary.dims else BEHIND
         title = f"{along}{said}"
@@ -79,9 +80,8 @@ def _people(summary: xr.Dataset, owners: list[str]) -> list[str]:
     return sorted(most, key=lambda person: (len(person), person))
 
 
-def _draw_bands(axis: Axes, bands: np.ndarray, end: str) -> None:
-    """Bands `(frames, 5)` of one joint, quantile by quantile."""
-    frames = np.arange(len(bands))
+def _draw_bands(axis: Axes, frames: np.ndarray, bands: np.ndarray, end: str) -> None:
+    """Bands `(frames, 5)` of one joint, quantile by quantile, over the frames' numbers."""
     colour = COLOURS[JOINT_INDEX[end]]
     for low, high, alpha in ((0, 4, 0.2), (1, 3, 0.4)):
         gid = f"band {end} {low}"

@@ -66,6 +66,7 @@ def film_page(
         "people": [_person(person, rows, tree, len(shown), quantiles) for person in people],
         "measures": _named(measured),
         "k": poses.shape[1],
+        "in_world": "view" in summary.dims,
         "levels": list(LEVELS),
         "hypothesis_colours": hypothesis_colours(poses.shape[1]),
         "start": JOINT_INDEX["right_wrist"],

@@ -25,7 +25,8 @@ from poseterior.inference.films.film import (
     film_draws,
     sample_film,
 )
-from poseterior.inference.stream import Item, all_draws, open_stream
+from poseterior.inference.footage import Footage, Item
+from poseterior.inference.stream import all_draws, open_stream
 from poseterior.inference.studies.intervals import TAIL
 from poseterior.inference.studies.measured import MeasureStandings, standings_of
 from poseterior.probmodel import Detection, DetectorErrors, Likelihood, PoseModel
@@ -33,9 +34,8 @@ from poseterior.probmodel.body import body_unit
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.datasets.sessions import judged_views
 from poseterior.probmodel.errors.laws import Student
-from poseterior.probmodel.instant import Instant
 from poseterior.probmodel.layouts import MIDPOINTS, corrected, without_midpoints
-from poseterior.probmodel.level import CalibratedWorld, level_axes
+from poseterior.probmodel.level import level_axes
 from poseterior.probmodel.motion import Motion, read_motion
 from poseterior.probmodel.motion.lowpass import butterworth
 from poseterior.probmodel.sessions import Session, read_session
@@ -90,25 +90,23 @@ class TrueFilm(NamedTuple):
     doubt : `(frames, 15, 3, 3)` mm, what makes its own errors of standard normals.
     lens : the camera's; None where nothing is to be known of it.
     rate : frames a second.
-    world : of several cameras.
     axes : `(3, 3)` columns, along which coordinates are judged: last that of which cameras say
         least.
     """
 
     name: str
-    people: Sequence[Detection | Instant]
+    people: list[Detection] | Footage
     truth: np.ndarray
     doubt: np.ndarray
     lens: Lens | None
     rate: float
-    world: CalibratedWorld | None = None
     axes: np.ndarray = np.eye(3)
 
     @property
     def unit(self) -> float:
         """Millimetres of a body unit."""
-        if self.world is not None:
-            return self.world.unit_mm
+        if isinstance(self.people, Footage):
+            return self.people.world.unit_mm
         return body_unit(self.truth[np.isfinite(self.truth).all(axis=(1, 2))])
 
     def errors(self, number: int, rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -151,19 +149,19 @@ def beam_of_pairs(data: Path) -> list[TrueFilm]:
     every = range(len(session.cameras))
     found = []
     for pair in itertools.combinations(every, 2):
-        world = session.seen_by(pair)
+        footage = Footage(session, pair)
+        world = footage.world
         own, others = (_seen(session, some) for some in (pair, [*set(every) - set(pair)]))
         level = level_axes(world.up)
         known = np.nanmean(level @ own.covariance[:, HIPS] @ level.T, axis=(0, 1))
         found.append(
             TrueFilm(
                 f"beam-{'-'.join(world.views)}",
-                [session.instant(number, pair) for number in session.numbers],
+                footage,
                 world.unit_mm * world.told(without_midpoints(others.points, MIDPOINTS)),
                 level @ doubt_of(session, others.covariance),
                 None,
                 60.0,
-                world,
                 np.linalg.eigh(known)[1],
             )
         )
@@ -251,7 +249,8 @@ def drawn(film: TrueFilm, work: Path) -> Path:
     if not (out / "run.json").exists():
         model, law = PoseModel(), Likelihood.of(DetectorErrors.default())
         model = model if film.lens is None else model.seen_by(film.lens)
-        items = [Item(f"{row:04d}", person) for row, person in enumerate(film.people)]
+        people = film.people
+        items = people if isinstance(people, Footage) else _named(people)
         sample_film(
             model,
             items,
@@ -259,10 +258,13 @@ def drawn(film: TrueFilm, work: Path) -> Path:
             key=0,
             out=out,
             estimating=Estimating(likelihood=law),
-            world=film.world,
         )
         print(film.name, flush=True)
     return out
+
+
+def _named(people: list[Detection]) -> list[Item]:
+    return [Item(f"{row:04d}", person) for row, person in enumerate(people)]
 
 
 Ways = Mapping[str, np.ndarray]

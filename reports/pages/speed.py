@@ -33,9 +33,10 @@ from poseterior.inference.exact.mixture import ExactRejection, root_samplers
 from poseterior.inference.exact.naive import BATCH, propose
 from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget
+from poseterior.inference.footage import Item
 from poseterior.inference.results import Result
 from poseterior.inference.sampler import sample
-from poseterior.inference.stream import Item, sample_frames
+from poseterior.inference.stream import sample_frames
 from poseterior.inference.studies.scenes import prior_scene
 from poseterior.probmodel import Anatomy, Estimate, PoseModel, read_detections
 from poseterior.probmodel.example import example

@@ -17,7 +17,8 @@ from poseterior.inference.films.parts import (
     put_together,
     taken_apart,
 )
-from poseterior.inference.stream import Item, all_draws
+from poseterior.inference.footage import Item
+from poseterior.inference.stream import all_draws
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.body import bone_lengths, mean_torso
 from poseterior.probmodel.motion.lowpass import butterworth

@@ -10,9 +10,10 @@ import pytest
 import xarray as xr
 
 from poseterior.inference import film_draws, measures, open_stream, sample_film, sample_frames
+from poseterior.inference.footage import Footage
 from poseterior.inference.instants import sample_instant
-from poseterior.inference.stream import Item, draws_of, items_of
-from poseterior.probmodel import BadInput, PoseModel
+from poseterior.inference.stream import draws_of
+from poseterior.probmodel import BadInput, Likelihood, PoseModel
 from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, ORDERS
 from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.skeleton import JOINT_INDEX
@@ -41,14 +42,13 @@ def stream(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("session") / "stream"
     return sample_frames(
         PoseModel(),
-        items_of(session, CAMERAS),
+        Footage(session, CAMERAS),
         key=7,
         out=out,
         num_roots=ROOTS,
         num_samples=DRAWS,
         keep=DRAWS,
         k=2,
-        world=session.seen_by(CAMERAS),
     )
 
 
@@ -123,7 +123,7 @@ def test_a_film_of_cameras_is_paths_of_bodies(
     gaps are filled."""
     out = sample_film(
         PoseModel(),
-        items_of(session, CAMERAS),
+        Footage(session, CAMERAS),
         rate=60,
         key=7,
         out=tmp_path / "film",
@@ -131,7 +131,6 @@ def test_a_film_of_cameras_is_paths_of_bodies(
         num_paths=DRAWS,
         cutoff=29.9,  # above half the rate: nothing is taken away
         k=2,
-        world=session.seen_by(CAMERAS),
     )
     paths = film_draws(out)
     assert paths.sizes["frame"] == FRAMES
@@ -146,20 +145,31 @@ def test_a_film_of_cameras_is_paths_of_bodies(
     assert np.ptp(lengths.reshape(DRAWS, -1, 5), axis=1).max() == 0
 
 
-def test_views_and_worlds_go_together(session: Session, tmp_path: Path) -> None:
-    """Before anything is drawn."""
-    world, model, person = session.seen_by(), PoseModel(), session.people[0][0]
-    views = list(items_of(session))
-    amiss = [
-        (views, {}, "say of which world"),
-        ([Item("one", person)], {"world": world}, "is not of calibrated cameras"),
-        (views, {"world": world, "composed": True}, "not put together limb by limb"),
-        (views, {"world": world, "sampler": "rejection"}, "no sampler 'rejection'"),
-    ]
-    for number, (items, given, words) in enumerate(amiss):
+def test_views_come_as_footage(session: Session, tmp_path: Path) -> None:
+    """Or are refused before anything is drawn."""
+    model, footage = PoseModel(), Footage(session)
+    for number, (items, given, words) in enumerate(
+        [
+            (list(footage), {}, "as `Footage`"),
+            (footage, {"composed": True}, "not put together limb by limb"),
+            (footage, {"sampler": "rejection"}, "no sampler 'rejection'"),
+        ]
+    ):
         with pytest.raises(BadInput, match=words):
             sample_frames(model, items, key=0, out=tmp_path / str(number), num_samples=9, **given)
     with pytest.raises(BadInput, match="several views have no root"):
-        views[0].frame.posterior(model, "candidates")
+        footage.first.posterior(model, "candidates")
     with pytest.raises(BadInput, match="cannot be chosen"):
-        list(items_of(session, [7]))
+        Footage(session, [0, 7])
+
+
+def test_another_law_or_other_cameras_are_another_run(session: Session, tmp_path: Path) -> None:
+    """And said to be, before a block is compared."""
+    few, given = session.take(range(1)), {"key": 0, "num_samples": 9, "num_roots": 9, "k": 1}
+    sample_frames(PoseModel(), Footage(few, CAMERAS), out=tmp_path, **given)
+    for other, words in [
+        (Footage(few, CAMERAS, Likelihood()), "its likelihood is"),
+        (Footage(few, CAMERAS[:2]), "its views is"),
+    ]:
+        with pytest.raises(BadInput, match=f"another run .*{words}"):
+            sample_frames(PoseModel(), other, out=tmp_path, **given)

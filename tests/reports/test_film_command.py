@@ -133,7 +133,7 @@ def test_what_calibrated_cameras_do_not_know_is_refused(poseterior: Cli, tmp_pat
     folder, out = tmp_path / "session", tmp_path / "out"
     write_session(filmed(moving(2), np.zeros((4, 2, 15, 2))), folder)
     plain = film(tmp_path / "film.json", NAMES)
-    seen = "means nothing of calibrated cameras"
+    seen = "is not of calibrated cameras"
     for arguments, words in [
         (("film", folder, "--fps", 30, "--roots", 50), f"--roots {seen}"),
         (("film", folder, "--fps", 30, "--person", 0), f"--person {seen}"),
@@ -142,6 +142,7 @@ def test_what_calibrated_cameras_do_not_know_is_refused(poseterior: Cli, tmp_pat
         (("frames", folder, "--composed"), f"--composed {seen}"),
         (("hypotheses", folder, "--upright", 20), f"--upright {seen}"),
         (("frames", folder, "--cameras", "1,9"), "it has those from 1 to 4"),
+        (("frames", folder, "--cameras", "1,1"), "each of which counts once"),
         (("frames", folder, "--cameras", "a"), "--cameras a is no list of numbers"),
         (("frames", plain, "--cameras", "1"), "--cameras is of calibrated cameras"),
     ]:
@@ -164,11 +165,14 @@ def test_a_film_of_calibrated_cameras_stands_in_their_world(
     run = poseterior("film", tmp_path / "session", "--fps", 30, *options)
     assert run.code == 0, run
     assert "3 frames of 1 person: 3 complete" in run.out
-    assert "40 paths, each of one body; film_draws opens them. Where joints are" in run.out
+    assert (
+        "40 paths, each of one body; film_draws opens them. A frame says as much as in" in run.out
+    )
     assert "1 body unit = " in run.out
     assert (out / "depth.png").stat().st_size > 10_000
     page = (out / "hypotheses.html").read_text()
     assert "standard deviation from the pelvis" in page
+    assert '"in_world":true' in page.replace(": ", ":")
     kept = poseterior("export", out, "--to", "npz", "--out", tmp_path / "x.npz")
     assert "the origin of the calibration at the origin" in kept.out, kept
     with np.load(tmp_path / "x.npz") as arrays:

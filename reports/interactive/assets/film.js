@@ -2,6 +2,11 @@
 // is known over time.
 
 const data = JSON.parse(element("data").textContent);
+if (data.in_world) {
+  Object.assign(AXES, { z: "level z", x: "level x", front: "−z" });
+  element("along").textContent = "Along the level axis z from the pelvis";
+  element("front").textContent = "Front";
+}
 const body = { bones: data.bones, left: data.left };
 const people = data.people.map((one) => ({
   ...one,
@@ -95,7 +100,7 @@ function frameAt(offset) {
 function depthOf(frame) {
   const { bands, words } = people[state.person], row = bands[frame][state.joint];
   return Number.isFinite(row[0])
-    ? `${data.joints[state.joint]}: depth ${signed(row[2], 2)} body units, 90 % between ${signed(row[0], 2)} and ${signed(row[4], 2)}` : words[frame];
+    ? `${data.joints[state.joint]}: ${AXES.z} ${signed(row[2], 2)} body units, 90 % between ${signed(row[0], 2)} and ${signed(row[4], 2)}` : words[frame];
 }
 
 // What is known of the chosen measure in a frame, or why there is no pose.

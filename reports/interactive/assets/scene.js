@@ -43,9 +43,12 @@ function nearest(bodies, x, y) {
   return found;
 }
 
+// What the axes are called, and who stands in front: of a world, which has no one camera, others.
+const AXES = { z: "depth", x: "across", front: "camera" };
+
 // A place in camera axes, in words.
 function placed([x, y, z]) {
-  return `depth ${signed(z, 2)}, across ${signed(x, 2)}, height ${signed(-y, 2)} body units`;
+  return `${AXES.z} ${signed(z, 2)}, ${AXES.x} ${signed(x, 2)}, height ${signed(-y, 2)} body units`;
 }
 
 // Words beside the pointer: `words(x, y)` says what is there, or nothing.
@@ -164,7 +167,7 @@ class Scene {
     pen.beginPath(); pen.moveTo(root[0], root[1]); pen.lineTo(tip[0], tip[1]); pen.stroke();
     pen.beginPath(); pen.arc(tip[0], tip[1], 3, 0, 2 * Math.PI); pen.fill();
     pen.font = "12px sans-serif"; pen.textAlign = "center"; pen.textBaseline = "top";
-    pen.fillText("camera", tip[0], Math.min(tip[1] + 5, high - 14));
+    pen.fillText(AXES.front, tip[0], Math.min(tip[1] + 5, high - 14));
   }
   listen(canvas) {
     const fingers = new Map();

@@ -1,0 +1,93 @@
+"""What streams are made of: frames with names, and what calibrated cameras filmed."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from poseterior.probmodel.detections import Detection
+from poseterior.probmodel.errors.likelihood import Likelihood
+from poseterior.probmodel.instant import Instant
+from poseterior.probmodel.level import CalibratedWorld
+from poseterior.probmodel.posterior import Estimate
+from poseterior.probmodel.sessions import Session
+
+
+class Item(NamedTuple):
+    """A frame of a stream.
+
+    Attributes
+    ----------
+    name
+        Unlike any other's.
+    frame
+        The estimate; or the detection, which is estimated where its block is made, and not again;
+        or what calibrated cameras saw; or, where there is no pose to be told, the sentence that
+        says why.
+    """
+
+    name: str
+    frame: Estimate | Detection | Instant | str
+
+
+@dataclass(frozen=True, eq=False)
+class Footage:
+    """The frames that calibrated cameras filmed of one person: items of a stream, named by their
+    numbers.
+
+        pt.sample_film(pt.PoseModel(), pt.Footage(session, [0, 2]), rate=60, key=0, out="walk")
+
+    Attributes
+    ----------
+    session
+        What all cameras saw.
+    cameras
+        Which of them count, from 0; by default all.
+    likelihood
+        How detections err; by default as `Session.instant` has it.
+
+    Raises
+    ------
+    BadInput
+        Where there is no such camera.
+    """
+
+    session: Session
+    cameras: Sequence[int] | None = None
+    likelihood: Likelihood | None = None
+
+    def __post_init__(self) -> None:
+        self.first  # noqa: B018
+
+    def __len__(self) -> int:
+        return len(self.session)
+
+    def __iter__(self) -> Iterator[Item]:
+        for number in self.session.numbers:
+            yield Item(str(number), self._instant(number))
+
+    @cached_property
+    def first(self) -> Instant:
+        """The first frame."""
+        return self._instant(self.session.numbers[0])
+
+    @cached_property
+    def world(self) -> CalibratedWorld:
+        """By what it is told: the axis that the cameras have for up, and the person's body unit."""
+        views = tuple(view.label for view in self.first.views)
+        return CalibratedWorld(self.first.up[0], self.session.unit, views)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What draws depend on beside the detections: plain JSON values."""
+        laws = dict.fromkeys(view.likelihood for view in self.first.views)
+        return {
+            "up": self.world.up,
+            "unit_mm": self.world.unit_mm,
+            "views": list(self.world.views),
+            "likelihood": "; ".join(f"{one.words} {one.sha256}" for one in laws),
+        }
+
+    def _instant(self, number: int) -> Instant:
+        instant = self.session.instant(number, self.cameras)
+        return instant.judged_by(self.likelihood) if self.likelihood else instant

@@ -442,6 +442,7 @@ def _matched(
 ) -> Session:
     """One person through all frames: the first people in the files, or the first others, whose
     views agree."""
+    _require_people(path, labels, numbers, views)
     complete = [number for number in numbers if all(view[number].people for view in views)]
     first = [[view[number].people[0] for number in complete] for view in views]
     agreed = dict(zip(complete, _agree(cameras, first), strict=True)) if complete else {}
@@ -473,6 +474,21 @@ def _matched(
         by_camera,
         left_out=len(numbers) - len(kept),
     )
+
+
+def _require_people(
+    path: Path,
+    labels: Sequence[str],
+    numbers: list[int],
+    views: Sequence[dict[int, DetectedFrame]],
+) -> None:
+    """Raises `BadInput` where a camera saw nobody in most frames."""
+    for label, view in zip(labels, views, strict=True):
+        if 2 * (seen := sum(bool(view[number].people) for number in numbers)) < len(numbers):
+            raise BadInput(
+                f"{label} of {path} saw nobody in {len(numbers) - seen} of {len(numbers)} frames;"
+                " look at its detections, or leave out its folder and its part of the calibration"
+            )
 
 
 def _others(

@@ -760,3 +760,11 @@ def test_a_person_whom_a_wrong_unit_makes_too_large_is_refused(
         BadInput, match=r"limbs of the person are .* mm long .* scale its positions"
     ):
         read_session(tmp_path)
+
+
+def test_a_camera_that_saw_nobody_is_named(exact: Session, tmp_path: Path) -> None:
+    write_session(exact.take(range(3)), tmp_path)
+    for path in sorted((tmp_path / "pose" / "cam3_json").iterdir())[:2]:
+        path.write_text('{"version": 1.3, "people": []}')
+    with pytest.raises(BadInput, match=r"cam3_json of .* saw nobody in 2 of 3 frames"):
+        read_session(tmp_path)

@@ -180,6 +180,8 @@ def test_a_film_of_calibrated_cameras_stands_in_their_world(
     hips = [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]]
     middle = joints[:, hips].mean(axis=1)[:, [0, 2, 1]] * [1, 1, -1]
     assert np.abs(pelvis - middle).max() < 200, "where the person stands, y up"
-    measured = poseterior("measure", out, "--measure", "right_knee_flexion")
+    measured = poseterior(
+        "measure", out, "--measure", "right_knee_flexion", "--out", tmp_path / "m.csv"
+    )
     assert measured.code == 0, measured
     assert "the calibration's axis z" in " ".join(measured.out.split())

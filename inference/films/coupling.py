@@ -66,7 +66,7 @@ def coupled(
     lasting
         Seconds within which they do.
     in_world
-        Whether the frames are of calibrated cameras, who see in all three axes where people are.
+        Whether the frames are of calibrated cameras, which see in all three axes where people are.
 
     Returns
     -------

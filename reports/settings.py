@@ -110,7 +110,7 @@ class HypothesesSettings:
     )
     person: PersonOrSession
     frame: int | None = option(None, "Which frame of calibrated cameras; the first by default.")
-    cameras: str | None = option(None, "Which of them, such as 1,3; all by default.")
+    cameras: str | None = option(None, "Which calibrated cameras, such as 1,3; all by default.")
     out: Path = option(
         Path("out"), "Folder for posterior.nc, hypotheses.json, hypotheses.png, hypotheses.html."
     )

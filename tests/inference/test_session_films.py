@@ -163,6 +163,7 @@ def test_views_come_as_footage(session: Session, tmp_path: Path) -> None:
         Footage(session, [0, 7])
 
 
+@pytest.mark.slow
 def test_another_law_or_other_cameras_are_another_run(session: Session, tmp_path: Path) -> None:
     """And said to be, before a block is compared."""
     few, given = session.take(range(1)), {"key": 0, "num_samples": 9, "num_roots": 9, "k": 1}

@@ -6,6 +6,8 @@ if (data.in_world) {
   Object.assign(AXES, { z: "level z", x: "level x", front: "−z" });
   element("along").textContent = "Along the level axis z from the pelvis";
   element("front").textContent = "Front";
+  element("told").textContent = "Place";
+  element("lengths").textContent = "millimetres";
 }
 const body = { bones: data.bones, left: data.left };
 const people = data.people.map((one) => ({

@@ -201,7 +201,7 @@ def film_of(
         )
         seed = [int(word) for word in str(tree.attrs["seed"]).split()]
         pace, random = rate / step, np.random.default_rng(seed)
-        in_world = tree.attrs["root"] == WORLD
+        in_world = tree.attrs.get("root") == WORLD
         film = _paths(drawn, paths, pace, random, progress, in_world)
         parts = filled(film.parts, film.seen, pace, random)
         film = film._replace(parts=_without_quick(parts, pace, cutoff))

@@ -63,8 +63,13 @@ class Footage:
         return len(self.session)
 
     def __iter__(self) -> Iterator[Item]:
-        for number in self.session.numbers:
-            yield Item(str(number), self._instant(number))
+        for name, number in zip(self.names, self.session.numbers, strict=True):
+            yield Item(name, self._instant(number))
+
+    @property
+    def names(self) -> list[str]:
+        """Of the frames."""
+        return [str(number) for number in self.session.numbers]
 
     @cached_property
     def first(self) -> Instant:
@@ -81,9 +86,7 @@ class Footage:
     def settings(self) -> dict[str, Any]:
         """What draws depend on beside the detections: plain JSON values."""
         laws = dict.fromkeys(view.likelihood for view in self.first.views)
-        return {
-            "up": self.world.up,
-            "unit_mm": self.world.unit_mm,
+        return self.world._asdict() | {
             "views": list(self.world.views),
             "likelihood": "; ".join(f"{one.words} {one.sha256}" for one in laws),
         }

@@ -275,7 +275,7 @@ class _ManyFrames:
     @property
     def names(self) -> list[str]:
         """Of all frames."""
-        return [one.name for one in self.footage] if self.is_session else self._film.names
+        return self.footage.names if self.is_session else self._film.names
 
     @property
     def size(self) -> tuple[int, int] | None:

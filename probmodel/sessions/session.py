@@ -128,6 +128,10 @@ class Session:
         joints in the place of its `n`."""
         return joints_seen(self.straight, self.keypoints, self.score)
 
+    def by(self, cameras: Sequence[int]) -> Triangulated:
+        """`world` by some cameras alone."""
+        return seen_by(cameras, self.straight, self.keypoints, self.score)
+
     def without(self, camera: int) -> Triangulated:
         """`world` by all cameras but one."""
         return seen_without(camera, self.straight, self.keypoints, self.score)
@@ -314,8 +318,15 @@ def seen_without(
     camera: int, cameras: Sequence[Pinhole], xy: np.ndarray, score: np.ndarray
 ) -> Triangulated:
     """`joints_seen` by all cameras but one."""
-    kept = [number for number in range(len(cameras)) if number != camera]
-    return joints_seen([cameras[number] for number in kept], xy[kept], score[kept])
+    return seen_by([one for one in range(len(cameras)) if one != camera], cameras, xy, score)
+
+
+def seen_by(
+    chosen: Sequence[int], cameras: Sequence[Pinhole], xy: np.ndarray, score: np.ndarray
+) -> Triangulated:
+    """`joints_seen` by some cameras."""
+    rows = list(chosen)
+    return joints_seen([cameras[row] for row in rows], xy[rows], score[rows])
 
 
 def _scale(cameras: Sequence[Pinhole], points: np.ndarray) -> np.ndarray:

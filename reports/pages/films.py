@@ -8,7 +8,7 @@ limits were learned. `work` keeps the draws, and a run that was stopped goes on 
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,8 +39,6 @@ from poseterior.probmodel.level import level_axes
 from poseterior.probmodel.motion import Motion, read_motion
 from poseterior.probmodel.motion.lowpass import butterworth
 from poseterior.probmodel.sessions import Session, read_session
-from poseterior.probmodel.sessions.session import joints_seen
-from poseterior.probmodel.sessions.triangulation import Triangulated
 from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
 from poseterior.reports.pages.honest import STRETCH
@@ -151,7 +149,7 @@ def beam_of_pairs(data: Path) -> list[TrueFilm]:
     for pair in itertools.combinations(every, 2):
         footage = Footage(session, pair)
         world = footage.world
-        own, others = (_seen(session, some) for some in (pair, [*set(every) - set(pair)]))
+        own, others = session.by(pair), session.by([*set(every) - set(pair)])
         level = level_axes(world.up)
         known = np.nanmean(level @ own.covariance[:, HIPS] @ level.T, axis=(0, 1))
         found.append(
@@ -166,12 +164,6 @@ def beam_of_pairs(data: Path) -> list[TrueFilm]:
             )
         )
     return found
-
-
-def _seen(session: Session, cameras: Sequence[int]) -> Triangulated:
-    rows = list(cameras)
-    views = [session.straight[one] for one in rows]
-    return joints_seen(views, session.keypoints[rows], session.score[rows])
 
 
 def doubt_of(session: Session, covariance: np.ndarray) -> np.ndarray:

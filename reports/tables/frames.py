@@ -17,8 +17,6 @@ BELIEVED = 0.5
 """Probability above which a detection is called wrong."""
 MOST_RUNS = 5
 """Stretches of frames that are named."""
-UNIT = "unit_mm"
-"""The attribute of a summary that says how large a body unit is: cameras were calibrated."""
 LIMB_ENDS = tuple(sorted(bone.end for bone in BONES))
 """The joints that move."""
 
@@ -83,8 +81,8 @@ def film_table(summary: xr.Dataset) -> Sheet:
     """Each joint of the limbs: how well its depth is known over all frames, of calibrated cameras
     its place, and where worst."""
     there = np.flatnonzero(summary.num_draws.values > 0)
-    in_world = UNIT in summary.attrs
-    unit_mm = summary.attrs[UNIT] if in_world else MILLIMETRES
+    in_world = "view" in summary.dims
+    unit_mm = summary.attrs["unit_mm"] if in_world else MILLIMETRES
     spread = summary.sd.values[there]
     depth = np.linalg.norm(spread, axis=-1) if in_world else spread[..., 2]
     several = len({person for _, person in _names(summary)}) > 1

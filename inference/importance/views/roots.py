@@ -231,8 +231,7 @@ def _moved(start: WorldBodies, step: np.ndarray) -> WorldBodies:
 def fitted(posterior: InstantPosterior) -> BodyProposal:
     """The first proposal. Raises `BadInput` where two cameras do not see enough of the torso, or it
     is behind one of them."""
-    turned = _turned(posterior)
-    points, *beside = _triangulated(posterior, turned)
+    turned, (points, *beside) = _turned(posterior)
     _require_torso(posterior, points)
     torsos = np.asarray(posterior.model.torsos)
     start = _aligned(torsos, points, posterior.root_prior.pointing.shape)
@@ -246,16 +245,14 @@ def fitted(posterior: InstantPosterior) -> BodyProposal:
     return BodyProposal(fit, factor, share[None], middle, spread, exchanges)
 
 
-def _turned(posterior: InstantPosterior) -> np.ndarray:
+def _turned(posterior: InstantPosterior) -> tuple[np.ndarray, np.ndarray]:
     """`(C,)`: the exchanges of views in which sides of the torso are plainly exchanged, which would
     lead a fit astray: view by view, first where the keypoints come nearest to what the others see.
-    Of two views nobody says which it is."""
+    Of two views nobody says which it is. And what is `_triangulated` under them."""
     found = np.zeros(len(posterior.detected.views), int)
-    if len(found) < 3:
-        return found
-    for _ in found:
-        _, *beside = _triangulated(posterior, found)
-        score = _scores(posterior, beside)
+    joints = _triangulated(posterior, found)
+    for _ in found if len(found) > 2 else ():
+        score = _scores(posterior, list(joints[1:]))
         best = np.argmax(score, axis=1)
         gain = score[np.arange(len(found)), best] - score[:, 0]
         gain[(found > 0) | ~MOVES_TORSO[best]] = 0.0
@@ -263,7 +260,8 @@ def _turned(posterior: InstantPosterior) -> np.ndarray:
         if gain[view] < CERTAIN_ODDS:
             break
         found[view] = best[view]
-    return found
+        joints = _triangulated(posterior, found)
+    return found, joints
 
 
 def _triangulated(posterior: InstantPosterior, exchange: np.ndarray) -> np.ndarray:

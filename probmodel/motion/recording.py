@@ -22,8 +22,8 @@ it)."""
 CMU_RATE = 120.0
 NPZ_RATE = 30.0
 MAX_TURN = 1500.0
-"""Degrees a second. A football kick turns the lower leg by some 1,100 in the CMU recordings; what
-is faster there are swapped or lost markers, at 1,700 to 12,000."""
+"""Degrees a second. A football kick turns the lower leg by some 1,100 in the CMU recordings, a
+somersault or a throw a limb by up to 2,500; swapped or lost markers jump at 1,700 to 12,000."""
 GUARD = 0.05
 """Seconds before and after a jump that are not trusted."""
 MOST_JOINTS, MOST_FRAMES = 2000, 500_000
@@ -71,20 +71,36 @@ class Motion:
 
     def without_jumps(self, max_turn: float = MAX_TURN) -> "Motion":
         """Without the frames at a jump, where a bone (from joint to parent) turns faster than
-        `max_turn` degrees a second. The frames within `GUARD` seconds of it go: a T-pose before the
-        first frame, a marker lost for a moment."""
+        `max_turn` degrees a second all of a sudden (`_sudden`), or more than twice as fast. The
+        frames within `GUARD` seconds of it go: a T-pose before the first frame, a marker lost for a
+        moment."""
         bones = self.joints[:, 1:] - self.joints[:, list(PARENTS[1:])]
         bones = bones / np.maximum(
             np.linalg.norm(bones, axis=-1, keepdims=True), np.finfo(float).tiny
         )
-        chord = np.linalg.norm(np.diff(bones, axis=0), axis=-1).max(axis=-1, initial=0.0)
-        turn = np.degrees(2 * np.arcsin(np.clip(chord / 2, 0, 1)))
-        jumps = np.flatnonzero(turn * self.frame_rate > max_turn) + 1
+        steps = np.diff(bones, axis=0)
+        turn = np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(steps, axis=-1) / 2, 0, 1)))
+        speed = turn * self.frame_rate
+        jumping = (speed > max_turn) & (_sudden(steps) | (speed > 2 * max_turn))
+        jumps = np.flatnonzero(jumping.any(axis=-1)) + 1
         guard = max(1, round(GUARD * self.frame_rate))
         keep = np.ones(len(self.joints), bool)
         for jump in jumps:
             keep[max(0, jump - guard) : jump + guard] = False
         return dataclasses.replace(self, joints=self.joints[keep])
+
+
+def _sudden(steps: np.ndarray) -> np.ndarray:
+    """Which steps `(T − 1, B, 3)` of bones' directions are jumps, `(T − 1, B)`: a step before or
+    after it is less than half as long, or goes another way. Somebody who turns a somersault is as
+    fast for some frames on end, in one sense; a marker that is lost for a moment jumps and comes
+    back, and a T-pose before the first frame is followed by a person who moves as usual."""
+    steps = np.concatenate([steps[1:2], steps, steps[-2:-1]])  # at the ends there is one neighbour
+    if len(steps) < 3:
+        return np.ones(steps.shape[:-1], bool)
+    along = np.sum(steps[1:] * steps[:-1], axis=-1)
+    square = np.sum(steps[1:-1] ** 2, axis=-1)
+    return np.minimum(along[1:], along[:-1]) < 0.5 * square
 
 
 def read_text(path: Path) -> str:

@@ -1,6 +1,7 @@
 """Readers of motion capture: small files worked out by hand, captures stored in two formats,
 damaged files."""
 
+import re
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from poseterior.probmodel.body import body_unit
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.motion import CMU_UNIT, Motion, read_motion, recording
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
@@ -254,6 +256,32 @@ def test_a_fast_person_is_no_glitch() -> None:
     assert len(moved.without_jumps().joints) == 60
 
 
+def whirl(speeds: list[float], rate: float = 120.0) -> Motion:
+    """A forearm that turns by so many degrees a second, step by step."""
+    joints = smooth(len(speeds) + 1, rate).joints
+    angle = np.radians(np.cumsum([0.0, *speeds]) / rate)
+    circle = 300 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+    joints[:, JOINT_INDEX["left_wrist"]] = joints[:, JOINT_INDEX["left_elbow"]] + circle
+    return Motion(joints, rate, "whirl", "nobody")
+
+
+@pytest.mark.parametrize(
+    ("speeds", "lost"),
+    [
+        ([0] * 20 + [700, 1300, 1900, 2100, 1700, 900] + [0] * 20, 0),  # thrown
+        ([0] * 20 + [1900, 1900, 1900] + [0] * 20, 14),  # it starts and ends from nothing
+        ([0] * 20 + [2000, -2000] + [0] * 20, 13),  # a spike of one frame
+        ([0] * 20 + [700, 1300, 1900, 3200, 1700, 900] + [0] * 20, 12),  # faster than anybody
+        ([2000] + [0] * 20, 7),  # a T-pose before the first frame
+        ([1900] * 9, 0),
+        ([1900], 2),
+    ],
+)
+def test_runs_of_fast_frames_are_no_glitches(speeds: list[float], lost: int) -> None:
+    motion = whirl(speeds)
+    assert len(motion.joints) - len(motion.without_jumps().joints) == lost
+
+
 @pytest.mark.parametrize(
     ("rate", "target", "kept"),
     [(120.0, 30.0, 60), (30.0, 30.0, 240), (25.0, 30.0, 240), (59.9, 30.0, 120)],
@@ -465,7 +493,7 @@ def test_amc_agrees_with_the_same_capture_as_positions(shared_data: Path) -> Non
 
 def test_bvh_agrees_with_the_same_capture_as_positions(shared_data: Path) -> None:
     """Bone lengths differ (the set has one skeleton for all), the angles at elbows and knees do
-    not."""
+    not, nor does the trunk, of which the conversion left out the thorax bone."""
     (bvh,) = read_motion(shared_data / "bvh" / "cmu_12_01_walk.bvh")
     positions = {
         motion.name: motion for motion in read_motion(shared_data / "cmu" / "actions_train.npz")
@@ -479,6 +507,44 @@ def test_bvh_agrees_with_the_same_capture_as_positions(shared_data: Path) -> Non
             difference = joint_angle(found, *names) - joint_angle(expected, *names)
             assert np.abs(difference - difference.mean()).max() < 1.5, names
             assert abs(difference.mean()) < 5, names
+    trunks = [joints[:, 1] - joints[:, 0] for joints in (found, expected)]
+    own, other = (
+        np.linalg.norm(trunk, axis=-1).mean() / body_unit(joints)
+        for trunk, joints in zip(trunks, (found, expected), strict=True)
+    )
+    assert own == pytest.approx(other, rel=0.03)  # without that bone: 0.67 of it
+    tilts = [
+        np.degrees(np.arccos(trunk[:, 1] / np.linalg.norm(trunk, axis=-1))) for trunk in trunks
+    ]
+    assert np.abs(tilts[0] - tilts[1]).max() < 5
+
+
+def test_only_conversions_that_lack_the_thorax_bone_get_one(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    """Whatever its joints are called; a file that has the bone, or another build, is read as it
+    is."""
+    text = (shared_data / "bvh" / "cmu_131_03.bvh").read_text()
+    (plain,) = read_motion(shared_data / "bvh" / "cmu_131_03.bvh")
+    whole = re.sub(
+        r"(JOINT (?:lowerneck|LeftCollar|RightCollar)\s*\{\s*OFFSET) 0 0 0", r"\1 0 2 0", text
+    )
+    assert whole.count("OFFSET 0 2 0") == 3
+    for name, content, trunk in (
+        ("whole", whole, 336.9),
+        ("renamed", text.replace("lowerback", "spine"), 337.2),
+        (
+            "without hip joints",
+            re.sub(r"(JOINT LHipJoint\s*\{\s*OFFSET) 0 0 0", r"\1 0 0 1", text),
+            224.2,
+        ),
+    ):
+        (tmp_path / f"{name}.bvh").write_text(content)
+        (motion,) = read_motion(tmp_path / f"{name}.bvh")
+        own = np.linalg.norm(motion.joints[:, 1] - motion.joints[:, 0], axis=-1).mean()
+        assert own == pytest.approx(trunk, abs=1.0), name
+        if name != "without hip joints":
+            assert np.abs(motion.joints[:, 9:] - plain.joints[:, 9:]).max() == 0, name
 
 
 @pytest.mark.slow

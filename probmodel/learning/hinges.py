@@ -8,7 +8,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from poseterior.probmodel.anatomy.limits import GRID, NUM_ELEVATION
-from poseterior.probmodel.learning.sphere import cells_of, chord, fibonacci, grid_points, swing
+from poseterior.probmodel.learning.sphere import (
+    CUBES,
+    cells_of,
+    chord,
+    cubes_of,
+    fibonacci,
+    grid_points,
+    in_company,
+    swing,
+)
 from poseterior.probmodel.learning.tolerance import Tolerance
 
 REFERENCE = np.array([1.0, 0.0, 0.0])
@@ -18,8 +27,6 @@ FALLBACK = np.array([0.0, 1.0, 0.0])
 SPINNING = 20.0
 """Degrees from the reference within which a lower bone's axes turn by more than a few degrees
 inside one parent cell."""
-CUBES = 32
-"""Observations that share a cube, of which this many divide [−1, 1], are one: 3.6° on a side."""
 _CORNERS = np.array([(0.5, 0.5), (0.1, 0.1), (0.1, 0.9), (0.9, 0.1), (0.9, 0.9)])
 _COARSE = fibonacci(1500)
 _FINE = fibonacci(40_000)
@@ -38,10 +45,14 @@ class Observations(NamedTuple):
     by_cell: dict[int, np.ndarray]
 
     @classmethod
-    def gather(cls, parent: np.ndarray, lower: np.ndarray) -> "Observations":
-        """From local unit vectors `(N, 3)` each."""
+    def gather(cls, parent: np.ndarray, lower: np.ndarray, tolerance: Tolerance) -> "Observations":
+        """From local unit vectors `(N, 3)` each; odd ones are left out, by both bones' directions
+        in the torso's axes."""
+        in_torso = np.einsum("nij,nj->ni", lower_axes_of(parent), lower)
+        regular = in_company(parent, in_torso, others=tolerance.company, degrees=tolerance.within)
+        parent, lower = parent[regular], lower[regular]
         own = np.ravel_multi_index(cells_of(parent), GRID)
-        thinned = np.unique(_cubes(parent) * CUBES**3 + _cubes(lower), return_index=True)[1]
+        thinned = np.unique(cubes_of(parent) * CUBES**3 + cubes_of(lower), return_index=True)[1]
         order = np.argsort(own, kind="stable")
         cells, first = np.unique(own[order], return_index=True)
         by_cell = dict(zip(cells.tolist(), np.split(order, first[1:]), strict=True))
@@ -98,7 +109,7 @@ def fit_cell(directions: np.ndarray, margin: float) -> CellFit:
     margin
         Degrees by which plane and box are moved outwards; the plane cuts off a hemisphere at most.
     """
-    coarse = directions[np.unique(_cubes(directions), return_index=True)[1]]
+    coarse = directions[np.unique(cubes_of(directions), return_index=True)[1]]
     normal = largest_empty_cap(coarse)
     tangent = smallest_box(coarse, normal)
     offset = min(0.0, -_widen((directions @ normal).max(), margin))
@@ -110,13 +121,6 @@ def fit_cell(directions: np.ndarray, margin: float) -> CellFit:
         _widen(along.max(), margin),
     ]
     return CellFit(normal, tangent, offset, np.array(bounds))
-
-
-def _cubes(directions: np.ndarray) -> np.ndarray:
-    """Index `(n,)` of the cube in which each of `directions` `(n, 3)` lies."""
-    return np.clip(
-        np.floor((directions + 1) * (CUBES / 2)).astype(int), 0, CUBES - 1
-    ) @ CUBES ** np.arange(3)
 
 
 def _widen(value: float, degrees: float) -> float:

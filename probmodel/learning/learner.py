@@ -48,4 +48,4 @@ def learn(
     poses = gather(motions)
     limits = learn_limits(poses.joints, tolerance, mirror=mirror, name=name, progress=progress)
     lengths = LengthPrior(*(single(field) for field in learn_lengths(poses)))
-    return Anatomy(limits, lengths, single(learn_torsos(poses.joints, num_torsos, mirror=mirror)))
+    return Anatomy(limits, lengths, single(learn_torsos(poses, num_torsos, mirror=mirror)))

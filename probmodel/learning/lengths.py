@@ -11,7 +11,10 @@ SPREAD_FLOOR = 0.05
 """Least standard deviation of a bone length, as a share of its mean. Tables of human proportions
 (segment lengths over stature) give some 3–6 %, more than a handful of subjects can show."""
 ALLOWANCE = 2.0
-"""The range reaches this many standard deviations beyond the shortest and the longest seen."""
+"""The range reaches this many standard deviations beyond the shortest and the longest person."""
+CENTRAL = (0.05, 0.95)
+"""Quantiles of a length over a subject's frames between which it is that person's: recordings have
+stretches in which a chain of bones is folded up, and the head a third as far away as it is."""
 _LIMBS = [group for group, name in enumerate(LENGTH_GROUPS) if name != "head"]
 
 
@@ -27,8 +30,9 @@ def learn_lengths(poses: Poses) -> LengthPrior:
     within = np.mean([length.var(axis=0) for length in by_subject], axis=0)
     between = means.var(axis=0, ddof=1) if len(means) > 1 else np.zeros(NUM_LENGTHS)
     spread = np.maximum(np.sqrt(within + between), SPREAD_FLOOR * mean)
-    low = np.min([length.min(axis=0) for length in by_subject], axis=0) - ALLOWANCE * spread
-    high = np.max([length.max(axis=0) for length in by_subject], axis=0) + ALLOWANCE * spread
+    usual = np.stack([np.quantile(length, CENTRAL, axis=0) for length in by_subject])
+    low = usual[:, 0].min(axis=0) - ALLOWANCE * spread
+    high = usual[:, 1].max(axis=0) + ALLOWANCE * spread
     low = np.maximum(low, 0.1 * mean)
     share, variance = (mean - low) / (high - low), (spread / (high - low)) ** 2
     strength = np.maximum(share * (1 - share) / variance - 1, 2.0)

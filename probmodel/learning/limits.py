@@ -1,8 +1,8 @@
 """Joint limits from poses: occupied cells of upper bones, planes and boxes of lower ones.
 
-The criterion is Akhter & Black's (CVPR 2015): what was seen is possible, so every training pose is
-valid under the limits learned from it. What was not seen is possible as far as a stated tolerance
-goes. The way in: `learn_limits(joints, tolerance)`."""
+The criterion is Akhter & Black's (CVPR 2015): what was seen is possible, but for what was seen by
+itself alone, once among thousands of frames: a marker that slipped. What was not seen is possible
+as far as a stated tolerance goes. The way in: `learn_limits(joints, tolerance)`."""
 
 import jax
 import numpy as np
@@ -14,6 +14,7 @@ from poseterior.probmodel.kinematics import articulation
 from poseterior.probmodel.learning.hinges import FALLBACK, REFERENCE, Observations, fit_cell
 from poseterior.probmodel.learning.occupancy import occupancy
 from poseterior.probmodel.learning.poses import Progress
+from poseterior.probmodel.learning.sphere import in_company
 from poseterior.probmodel.learning.tolerance import Tolerance
 from poseterior.probmodel.skeleton import LOWER_BONES, NUM_LOWER, NUM_UPPER
 
@@ -33,7 +34,7 @@ def learn_limits(
     name: str = "learned",
     progress: Progress | None = None,
 ) -> AnatomicalLimits:
-    """Limits under which all of some poses are valid.
+    """Limits under which some poses are valid, all but the odd ones.
 
     Parameters
     ----------
@@ -55,15 +56,17 @@ def learn_limits(
     tables = {key: np.full((NUM_LOWER, *GRID, *shape), np.nan) for key, shape in _TABLES.items()}
     occupied = np.zeros((NUM_UPPER, *GRID), bool)
     for bone, radius in enumerate(tolerance.upper):
-        occupied[bone] = occupancy(upper[:, bone], radius, tolerance.closing)
+        seen = upper[:, bone]
+        regular = in_company(seen, others=tolerance.company, degrees=tolerance.within)
+        occupied[bone] = occupancy(seen[regular], radius, tolerance.closing)
     for bone, part in enumerate(LOWER_BONES):
         if progress is not None:
             progress(f"limits of the {part.name.replace('_', ' ')}", bone, NUM_LOWER)
         if mirror and part.name.startswith("left"):
             _mirror_tables(occupied, tables, bone)
         else:
-            seen = Observations.gather(upper[:, bone + 1], lower[:, bone])
-            _fit_cells(tables, bone, occupied[bone + 1], seen, tolerance)
+            both = Observations.gather(upper[:, bone + 1], lower[:, bone], tolerance)
+            _fit_cells(tables, bone, occupied[bone + 1], both, tolerance)
     if mirror:
         occupied[0] |= _mirror_cells(occupied[0])
     if progress is not None:

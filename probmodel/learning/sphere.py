@@ -3,9 +3,15 @@
 import jax
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from poseterior.probmodel.anatomy.limits import CELL, GRID, cell_of
 from poseterior.probmodel.directions import cells
+
+CUBES = 32
+"""Directions that share a cube, of which this many divide [−1, 1], are one: 3.6° on a side."""
+MOST_ODD = 0.01
+"""Share of what was seen that can be left out as odd: of few frames that are far apart, all are."""
 
 
 def cells_of(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -70,3 +76,34 @@ def swing(start: np.ndarray, vectors: np.ndarray, end: np.ndarray) -> np.ndarray
     cosine = start @ end
     along = np.einsum("ni,ni->n", axis, vectors) / np.maximum(1 + cosine, 1e-6)
     return vectors * cosine[:, None] + np.cross(axis, vectors) + axis * along[:, None]
+
+
+def cubes_of(directions: np.ndarray) -> np.ndarray:
+    """Index `(n,)` of the cube in which each of `directions` `(n, 3)` lies."""
+    cubes = np.floor((directions + 1) * (CUBES / 2)).astype(int)
+    return np.clip(cubes, 0, CUBES - 1) @ CUBES ** np.arange(3)
+
+
+def in_company(*directions: np.ndarray, others: int, degrees: float) -> np.ndarray:
+    """Which of what was seen is not odd: so many distinct others lie within `degrees` of it.
+
+    Parameters
+    ----------
+    *directions : `(N, 3)`
+        Unit vectors that were seen together; distances are over all of them.
+    others
+        How many; what shares all its cubes is not distinct.
+    degrees
+        How far away; further where more than `MOST_ODD` of all would be odd otherwise.
+
+    Returns
+    -------
+    regular : `(N,)` bool
+    """
+    seen = np.concatenate(directions, axis=-1)
+    cubes = np.stack([cubes_of(one) for one in directions], axis=-1)
+    distinct = seen[np.unique(cubes, axis=0, return_index=True)[1]]
+    if not 0 < others < len(distinct):
+        return np.ones(len(seen), bool)
+    distance = cKDTree(distinct).query(seen, k=[others + 1])[0][:, 0]
+    return distance <= max(chord(degrees), np.quantile(distance, 1 - MOST_ODD))

@@ -10,7 +10,8 @@ from poseterior.probmodel.skeleton import UPPER_BONES
 
 @dataclasses.dataclass(frozen=True)
 class Tolerance:
-    """Margins around what was seen, in degrees (0 to 90) but for `samples`.
+    """Margins around what was seen, in degrees (0 to 90) but for `samples` and
+    `company`.
 
     Parameters
     ----------
@@ -25,6 +26,11 @@ class Tolerance:
         Where fewer distinct observations than this are that close, the nearest ones count.
     lower
         Margin around planes and boxes.
+    company
+        What was seen with fewer distinct others than this around it is odd, and does not count (at
+        most one in a hundred); with 0 everything counts.
+    within
+        How far from it they may lie.
 
     Raises
     ------
@@ -33,19 +39,22 @@ class Tolerance:
     """
 
     head: float = 4.0
-    arm: float = 10.0
+    arm: float = 6.0
     leg: float = 8.0
     closing: float = 10.0
-    neighbourhood: float = 25.0
+    neighbourhood: float = 20.0
     samples: int = 30
-    lower: float = 4.0
+    lower: float = 6.0
+    company: int = 5
+    within: float = 15.0
 
     def __post_init__(self) -> None:
         for name, value in dataclasses.asdict(self).items():
-            low, high = (1, np.inf) if name == "samples" else (0, 90)
+            low, high = {"samples": (1, np.inf), "company": (0, np.inf)}.get(name, (0, 90))
             if not low <= value <= high:  # true for NaN too
                 raise BadInput(
-                    f"the tolerance {name} is {value}; degrees are 0 to 90, samples at least 1"
+                    f"the tolerance {name} is {value}; degrees are 0 to 90, samples at least 1,"
+                    " company at least 0"
                 )
 
     def wider(self, factor: float) -> "Tolerance":

@@ -1,7 +1,6 @@
 """Readers of motion capture: small files worked out by hand, captures stored in two formats,
 damaged files."""
 
-import re
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -273,6 +272,7 @@ def whirl(speeds: list[float], rate: float = 120.0) -> Motion:
         ([0] * 20 + [2000, -2000] + [0] * 20, 13),  # a spike of one frame
         ([0] * 20 + [700, 1300, 1900, 3200, 1700, 900] + [0] * 20, 12),  # faster than anybody
         ([2000] + [0] * 20, 7),  # a T-pose before the first frame
+        ([0] * 20 + [1300, 2000, -2000, -1300] + [0] * 20, 13),  # there and back
         ([1900] * 9, 0),
         ([1900], 2),
     ],
@@ -519,32 +519,66 @@ def test_bvh_agrees_with_the_same_capture_as_positions(shared_data: Path) -> Non
     assert np.abs(tilts[0] - tilts[1]).max() < 5
 
 
-def test_only_conversions_that_lack_the_thorax_bone_get_one(
-    shared_data: Path, tmp_path: Path
-) -> None:
-    """Whatever its joints are called; a file that has the bone, or another build, is read as it
-    is."""
-    text = (shared_data / "bvh" / "cmu_131_03.bvh").read_text()
-    (plain,) = read_motion(shared_data / "bvh" / "cmu_131_03.bvh")
-    whole = re.sub(
-        r"(JOINT (?:lowerneck|LeftCollar|RightCollar)\s*\{\s*OFFSET) 0 0 0", r"\1 0 2 0", text
+def conversion(thorax: str = "0 0 0", hip: str = "0 0 0", lower_back: str = "LowerBack") -> str:
+    """A BVH file of one frame, built as the conversions of the CMU files are, in their unit."""
+
+    def joint(name: str, offset: str, *below: str) -> str:
+        own = f"JOINT {name} {{\nOFFSET {offset}\nCHANNELS 3 Zrotation Yrotation Xrotation\n"
+        own = own.replace("{", "\n{")
+        return own + ("".join(below) or "End Site\n{\nOFFSET 0 1 0\n}\n") + "}\n"
+
+    legs = [
+        joint(
+            f"{side[0]}HipJoint",
+            hip if side == "Left" else "0 0 0",
+            joint(
+                f"{side}UpLeg",
+                f"{way} -1 0",
+                joint(f"{side}Leg", "0 -7 0", joint(f"{side}Foot", "0 -7 0")),
+            ),
+        )
+        for side, way in (("Left", 1), ("Right", -1))
+    ]
+    arms = [
+        joint(
+            f"{side}Shoulder",
+            thorax,
+            joint(
+                f"{side}Arm",
+                f"{3 * way} 1 0",
+                joint(f"{side}ForeArm", f"{5 * way} 0 0", joint(f"{side}Hand", f"{4 * way} 0 0")),
+            ),
+        )
+        for side, way in (("Left", 1), ("Right", -1))
+    ]
+    neck = joint("Neck", thorax, joint("Neck1", "0 1.5 0", joint("Head", "0 1.5 0")))
+    spine = joint(
+        lower_back, "0 0 0", joint("Spine", "0 2 0", joint("Spine1", "0 2 0", neck, *arms))
     )
-    assert whole.count("OFFSET 0 2 0") == 3
-    for name, content, trunk in (
-        ("whole", whole, 336.9),
-        ("renamed", text.replace("lowerback", "spine"), 337.2),
-        (
-            "without hip joints",
-            re.sub(r"(JOINT LHipJoint\s*\{\s*OFFSET) 0 0 0", r"\1 0 0 1", text),
-            224.2,
-        ),
-    ):
-        (tmp_path / f"{name}.bvh").write_text(content)
-        (motion,) = read_motion(tmp_path / f"{name}.bvh")
-        own = np.linalg.norm(motion.joints[:, 1] - motion.joints[:, 0], axis=-1).mean()
-        assert own == pytest.approx(trunk, abs=1.0), name
-        if name != "without hip joints":
-            assert np.abs(motion.joints[:, 9:] - plain.joints[:, 9:]).max() == 0, name
+    text = "HIERARCHY\nROOT Hips\n{\nOFFSET 0 0 0\nCHANNELS 3 Zrotation Yrotation Xrotation\n"
+    text += "".join([*legs, spine]) + "}\n"
+    zeros = " ".join(["0"] * (3 * text.count("CHANNELS")))
+    return f"{text}MOTION\nFrames: 1\nFrame Time: .0333333\n{zeros}\n"
+
+
+@pytest.mark.parametrize(
+    ("given", "trunk"),
+    [
+        ({}, 6.0),
+        ({"lower_back": "Belly"}, 6.0),  # tools rename joints
+        ({"thorax": "0 2.5 0"}, 6.5),  # the file has the bone
+        ({"hip": "0 0 0.1"}, 4.0),  # another build
+    ],
+)
+def test_only_conversions_that_lack_the_thorax_bone_get_one(
+    tmp_path: Path, given: dict[str, str], trunk: float
+) -> None:
+    (tmp_path / "a.bvh").write_text(conversion(**given))
+    joints = read_motion(tmp_path / "a.bvh")[0].joints[0]
+    at = [JOINT_INDEX[name] for name in ("pelvis", "thorax", "right_shoulder")]
+    back, shoulder = (joints[row] - joints[at[0]] for row in at[1:])
+    assert np.linalg.norm(back) / CMU_UNIT == pytest.approx(trunk, abs=0.03)
+    np.testing.assert_allclose(shoulder - back, CMU_UNIT * np.array([-3, 1, 0]), atol=1e-6)
 
 
 @pytest.mark.slow

@@ -22,17 +22,17 @@ MIDPOINTS = {"thorax": ("right_shoulder", "left_shoulder"), "pelvis": ("right_hi
 """Joints that lie midway between two others, for the detectors that do not have them or missed
 them."""
 
-TOWARDS_THE_OTHER = {"thorax": 0.125, "pelvis": 0.192}
+TOWARDS_THE_OTHER = {"thorax": 0.124, "pelvis": 0.194}
 """How far along the line from one midpoint to the other the skeleton's own joint lies: the mean
 over the embedded torsos, projected onto that line (a test derives them again). The thorax lies
 below the shoulders' midpoint and the pelvis above the hips'; under weak perspective a share of a
 line stays the same share in every view."""
 
-BEHIND = {"thorax": -0.016, "pelvis": 0.100}
+BEHIND = {"thorax": -0.005, "pelvis": 0.077}
 """How far behind that line the joint lies, in the line's lengths: what an image does not tell, but
 a pose in space does. The same mean."""
 
-STRAY = {"thorax": 0.030, "pelvis": 0.097}
+STRAY = {"thorax": 0.034, "pelvis": 0.079}
 """How far from there they lie, body units: the standard deviation along any one axis over the
 embedded torsos, seen from all sides (the same test). The pelvis lies behind the line."""
 

@@ -199,16 +199,14 @@ def test_numpy_and_the_model_say_the_same(name: str) -> None:
     assert disagreement(benchmark.load(name), benchmark.frozen_model()) < AGREEMENT
 
 
-def test_the_product_still_has_the_frozen_model() -> None:
-    """What the targets were made with: where this fails, the product's default has changed, and the
-    targets have not."""
+def test_the_targets_keep_their_anatomy_when_the_products_changes() -> None:
+    """The tables of version 0.2, by whose draws entrants are judged; the product has since learned
+    from more people, whose poses these allow less often."""
     frozen, now = benchmark.frozen_model(), PoseModel.paper()
     assert frozen.measures == now.measures
-    same = jax.tree.map(
-        lambda one, other: np.array_equal(one, other, equal_nan=one.dtype.kind == "f"),
-        *(jax.tree.leaves(model) for model in (frozen, now)),
-    )
-    assert all(same)
+    assert frozen.limits.sha256.startswith("7793d399517d")
+    ours, theirs = (float(np.nansum(model.hinges.total)) for model in (frozen, now))
+    assert ours < theirs
 
 
 def widened(model: PoseModel) -> PoseModel:

@@ -91,10 +91,10 @@ def test_draws_are_those_of_the_loops(model, frame, name):
 
 
 def test_draws_for_other_discs_are_not(model, easy):
-    """The control: of the right arm's discs, one that is a tenth smaller."""
+    """The control: of the right arm's discs, one that is a sixth smaller."""
     _, loops = both(model, easy, "arms", 1)
     problems = limb_problems(easy.observation)["arms"]
-    smaller = problems[0]._replace(reach=problems[0].reach * [1.0, 0.9])
+    smaller = problems[0]._replace(reach=problems[0].reach * [1.0, 5 / 6])
     wrong = DeviceGroup(key(1), "arms", group_tables(model)["arms"], (smaller, problems[1]))
     for sampler in (wrong, loops):
         assert sampler.more(8000, PLENTY)

@@ -154,7 +154,7 @@ def test_draws_are_what_the_program_says(name: str) -> None:
 @pytest.mark.slow
 def test_who_is_far_away_is_seen_by_weak_perspective() -> None:
     """What a telescope sees agrees with parallel lines of sight in evidence and mean scale (4
-    standard errors, 1.3e-4), what a lens sees does not."""
+    standard errors, 1.3e-4), what a lens sees does not, in its scale most of all."""
     model, frame = under("gaussian")
     weak = weigh_roots(frame.posterior(model.seen_by(None)), key=key(2), num_roots=2000)
 
@@ -165,7 +165,9 @@ def test_who_is_far_away_is_seen_by_weak_perspective() -> None:
         return apart, sound.scales_apart(roots, weak)
 
     assert max(apart(model.seen_by(Lens(1e9, PRINCIPAL)), 3)) < 4
-    assert min(apart(model, 3)) > 6
+    evidence, scale = apart(model, 3)
+    assert scale > 6
+    assert evidence > 2
 
 
 def test_a_lens_sees_as_a_pinhole_camera() -> None:

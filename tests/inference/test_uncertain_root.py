@@ -254,7 +254,7 @@ def test_too_few_roots_are_drawn_anew_as_many_as_would_do():
     anew where the first ones do, where no root explains the limbs, where the most that there may be
     would not do, and where the budget would end before."""
     model = PoseModel.paper()
-    posterior = moved(prior_scene(model, 2), "right_wrist", (100.0, 0.0)).posterior(model)
+    posterior = moved(prior_scene(model, 2), "right_wrist", (80.0, 0.0)).posterior(model)
     first = weigh_roots(posterior, key=key(3), num_roots=40)
     assert 5 < first.effective < weighted.FEWEST_EFFECTIVE
     found = weigh_enough_roots(posterior, key=key(3), num_roots=40, most_roots=4000)
@@ -273,7 +273,7 @@ def test_too_few_roots_are_drawn_anew_as_many_as_would_do():
     left()
     left(most_roots=40)
     left(most_roots=50)
-    left(most_roots=4000, max_proposals=first.proposals + again.proposals // 3)
+    left(most_roots=4000, max_proposals=first.proposals + int(0.95 * again.proposals))
     with pytest.raises(BadInput, match="number of roots must lie between 1 and 100,000"):
         left(most_roots=0)
     nobody = moved(prior_scene(model, 2), "right_wrist", (2000.0, 0.0)).posterior(model)

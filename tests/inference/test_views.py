@@ -635,17 +635,17 @@ def test_a_body_is_found_though_one_view_turns_it_round(
     model: PoseModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of three cameras. A fit that takes all views as they are is led astray: on this body it
-    missed by a hundred nats."""
+    misses by 28 nats."""
     points, _, world = bodies(model, 6, seed=11)
     clean = dataclasses.replace(FAULTY, faults=FaultPrior())
-    instant = seen(straight(3), world[3], math.exp(points.log_size[3]), clean, seed=5)
+    instant = seen(straight(3), world[4], math.exp(points.log_size[4]), clean, seed=5)
     posterior = exchanged(instant.judged_by(FAULTY), 1, "body").posterior(model)
     sampler = WeightedViews(num_roots=200)
     draws = sampler.draw(posterior, jax.random.key(0), 200)
     assert draws.status == COMPLETE
     body = draws.faults.exchange == EXCHANGE_INDEX["body"]
     np.testing.assert_array_equal(body.mean(axis=0) > 0.95, [False, True, False])
-    far = np.linalg.norm(np.asarray(draws.points.place) - points.place[3], axis=1)
+    far = np.linalg.norm(np.asarray(draws.points.place) - points.place[4], axis=1)
     assert np.median(far) < 150, "mm"
     as_it_is = np.zeros(3, int), roots._triangulated(posterior, np.zeros(3, int))
     monkeypatch.setattr(roots, "_turned", lambda posterior: as_it_is)

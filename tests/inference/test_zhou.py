@@ -228,7 +228,7 @@ def test_the_tolerance_in_use_is_near_the_optimum():
     exact = zhou.relax(xy, weight, DICTIONARY.atoms, tolerance=1e-6, max_iterations=20_000)
     quick = zhou.relax(xy, weight, DICTIONARY.atoms)
     assert quick.converged.all()
-    assert quick.objective == pytest.approx(exact.objective, rel=5e-3)
+    assert quick.objective == pytest.approx(exact.objective, rel=1e-2)
     assert np.median(quick.objective / exact.objective - 1) < 1e-3
 
 

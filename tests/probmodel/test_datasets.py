@@ -288,12 +288,13 @@ def test_errors_of_the_truth_are_as_large_as_is_said(data):
 
 
 def test_midpoints_err_as_their_ends_do(data):
-    """The thorax is 7/8 of the shoulders' midpoint and 1/8 of the hips', which are the pelvis'."""
+    """The thorax is 0.876 of the shoulders' midpoint and 0.124 of the hips', which are the
+    pelvis'."""
     midway = dataclasses.replace(doubtful(data), midpoints=("thorax",))
     doubt = midway.case(0).doubt
-    shoulders, hips = 875**2 * (2**2 + 5**2) / 4e6, 125**2 * (9**2 + 12**2) / 4e6
+    shoulders, hips = 876**2 * (2**2 + 5**2) / 4e6, 124**2 * (9**2 + 12**2) / 4e6
     assert doubt[1, 1, 0, 0] == pytest.approx(shoulders + hips)
-    assert doubt[1, 2, 2, 2] == pytest.approx(400 * 0.875 / 2)
+    assert doubt[1, 2, 2, 2] == pytest.approx(400 * 0.876 / 2)
 
 
 def test_a_plain_file_says_its_errors(data, tmp_path):

@@ -801,7 +801,7 @@ def test_midpoints_in_space_are_moved_to_where_torsos_have_them() -> None:
     assert off(moved, "thorax") < 0.07 < 0.19 < off(halfway, "thorax")
     assert off(moved, "pelvis") < 0.1 < 0.3 < off(halfway, "pelvis")
     mirrored = without_midpoints(halfway * [-1, 1, 1], BOTH) * [-1, 1, 1]
-    assert off(mirrored, "pelvis") > 0.25
+    assert off(mirrored, "pelvis") > 0.22
     others = [row for row in range(NUM_JOINTS) if row not in map(JOINT_INDEX.get, BOTH)]
     np.testing.assert_array_equal(moved[:, others], halfway[:, others])
     half = without_midpoints(truth, ("pelvis",))
@@ -841,8 +841,8 @@ def test_correction_touches_midpoints_only(layout: Layout, moved: tuple[str, ...
 
 def test_correction_by_hand() -> None:
     person = corrected(COCO_17.detection(points(COCO_17), 0.0, "a file", 0))
-    np.testing.assert_allclose(person.keypoints[JOINT_INDEX["thorax"]], [50, 30 + 0.125 * 50])
-    np.testing.assert_allclose(person.keypoints[JOINT_INDEX["pelvis"]], [50, 80 - 0.192 * 50])
+    np.testing.assert_allclose(person.keypoints[JOINT_INDEX["thorax"]], [50, 30 + 0.124 * 50])
+    np.testing.assert_allclose(person.keypoints[JOINT_INDEX["pelvis"]], [50, 80 - 0.194 * 50])
 
 
 def test_a_missed_pelvis_is_a_midpoint_whatever_its_layout_says(tmp_path: Path) -> None:

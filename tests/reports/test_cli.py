@@ -635,7 +635,7 @@ REFUSALS += [
         "learn: no margin",
         "learn @f.bvh --out @l.npz --wider nan",
         {"f.bvh": BVH},
-        "margins cannot be nan times as wide; give 0 to 9",
+        "margins cannot be nan times as wide; give 0 to 11",
     ),
     Refusal(
         "learn: another kind",

@@ -41,7 +41,7 @@ def test_the_skeletons_truth_is_not_the_midpoints() -> None:
     assert size[0] == pytest.approx(0.0)
     wrist = size[JOINT_INDEX["left_wrist"]]
     # The pelvis is four fifths of two hips' mean, a fifth of two shoulders'.
-    assert wrist == pytest.approx(0.1 * np.sqrt(1 + (0.808**2 + 0.192**2) / 2), rel=0.03)
+    assert wrist == pytest.approx(0.1 * np.sqrt(1 + (0.806**2 + 0.194**2) / 2), rel=0.03)
 
 
 def test_draws_are_judged_in_spreads_and_millimetres() -> None:

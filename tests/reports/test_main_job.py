@@ -71,7 +71,7 @@ def check_draws(model: PoseModel, result: inference.Result) -> None:
 
 
 def test_the_walker_faces_left(shared_data):
-    """SPIN's person, without any face joint, under the published limits: some 40 to 1 by the limbs'
+    """SPIN's person, without any face joint, under the published limits: some 15 to 1 by the limbs'
     evidence."""
     anatomy = Anatomy.load(shared_data / "akhter_black" / "jointAngleModel_v2.mat")
     frame = inference.estimate_torso(read_detections(shared_data / "detections" / FILES[0][0])[0])
@@ -86,7 +86,7 @@ def test_the_walker_faces_left(shared_data):
     left = int(np.argmin([candidate.facing[0] for candidate in frame.candidates]))
     odds = constant.log_evidence.values[left] - constant.log_evidence.values[1 - left]
     assert frame.candidates[left].facing[0] < -0.8
-    assert 3.0 < odds < 4.5
+    assert 2.2 < odds < 4.0
     assert constant.weight.values[left] > 0.9
 
 

@@ -8,7 +8,7 @@ limits were learned. `work` keeps the draws, and a run that was stopped goes on 
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,7 +36,7 @@ from poseterior.probmodel.datasets.sessions import judged_views
 from poseterior.probmodel.errors.laws import Student
 from poseterior.probmodel.layouts import MIDPOINTS, corrected, without_midpoints
 from poseterior.probmodel.level import level_axes
-from poseterior.probmodel.motion import Motion, read_motion
+from poseterior.probmodel.motion import Motion
 from poseterior.probmodel.motion.lowpass import butterworth
 from poseterior.probmodel.sessions import Session, read_session
 from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
@@ -44,6 +44,7 @@ from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
 from poseterior.reports.pages.honest import STRETCH
 from poseterior.reports.pages.measures import Measured, overview, within
 from poseterior.reports.pages.page import Data, Page, Work, run
+from poseterior.reports.pages.people import Strangers, strangers
 from poseterior.reports.pages.strangers import camera_turn, seen_from
 from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.sheet import NOTHING
@@ -90,6 +91,7 @@ class TrueFilm(NamedTuple):
     rate : frames a second.
     axes : `(3, 3)` columns, along which coordinates are judged: last that of which cameras say
         least.
+    model : learned from others, of people from whom the embedded one was learned.
     """
 
     name: str
@@ -99,6 +101,7 @@ class TrueFilm(NamedTuple):
     lens: Lens | None
     rate: float
     axes: np.ndarray = np.eye(3)
+    model: PoseModel | None = None
 
     @property
     def unit(self) -> float:
@@ -174,15 +177,21 @@ def doubt_of(session: Session, covariance: np.ndarray) -> np.ndarray:
     return np.where(known, root, 0.0) * session.stray[:, None, None]
 
 
-def captured_films(data: Path, law: DetectorErrors, rate: float, people: int) -> list[TrueFilm]:
-    """The first subjects that limits were not learned from, each in the middle of a recording,
-    before a camera that stands still, by a detector whose errors last."""
-    motions = read_motion(data / "cmu" / "extremes")
+def captured_films(
+    parts: Sequence[Strangers], law: DetectorErrors, rate: float, people: int
+) -> list[TrueFilm]:
+    """The first subjects, each in the middle of a recording, before a camera that stands still, by
+    a detector whose errors last; their models were learned from others."""
+    motions = [motion for part in parts for motion in part.motions]
+    models = {motion.subject: part.model for part in parts for motion in part.motions}
     longest = {one.subject: one for one in sorted(motions, key=lambda one: len(one.joints))}
     seconds = {name: len(one.joints) / one.frame_rate for name, one in longest.items()}
     some = [longest[name] for name in sorted(longest) if seconds[name] >= CAPTURED_SECONDS]
     some = some[:people]
-    return [_captured(motion, law, rate, number) for number, motion in enumerate(some)]
+    return [
+        _captured(motion, law, rate, number)._replace(model=models[motion.subject])
+        for number, motion in enumerate(some)
+    ]
 
 
 def _captured(motion: Motion, law: DetectorErrors, rate: float, number: int) -> TrueFilm:
@@ -239,7 +248,7 @@ def drawn(film: TrueFilm, work: Path) -> Path:
     """The folder of a film's paths, drawn where there is none."""
     out = work / film.name
     if not (out / "run.json").exists():
-        model, law = PoseModel(), Likelihood.of(DetectorErrors.default())
+        model, law = film.model or PoseModel(), Likelihood.of(DetectorErrors.default())
         model = model if film.lens is None else model.seen_by(film.lens)
         people = film.people
         items = people if isinstance(people, Footage) else _named(people)
@@ -421,8 +430,9 @@ def measured(films: list[TrueFilm], work: Path) -> Measured:
 
 def inside_limits(groups: list[list[TrueFilm]], work: Path) -> float:
     """The share of poses of paths that the limits allow."""
-    limits, found = PoseModel().limits, []
+    embedded, found = PoseModel(), []
     for film in (film for films in groups for film in films):
+        limits = (film.model or embedded).limits
         some = film_draws(drawn(film, work)).joints.values[0, ::20].astype(float)
         found.append(limits.check(some.reshape(-1, NUM_JOINTS, 3)).pose_valid.mean())
     return float(np.mean(found))
@@ -459,10 +469,11 @@ def main(data: Data, work: Work) -> Page:
         "beam, `--focal`": beam(data, focal=True),
         PAIRS: beam_of_pairs(data),
     }
-    held = captured_films(data, law, CAPTURED_RATE, CAPTURED_PEOPLE)
+    parts = strangers(work, data)
+    held = captured_films(parts, law, CAPTURED_RATE, CAPTURED_PEOPLE)
     made = {f"captured, {CAPTURED_RATE:g} a second": held}
     made |= {
-        f"captured, {rate:g} a second": captured_films(data, law, rate, RATED_PEOPLE)
+        f"captured, {rate:g} a second": captured_films(parts, law, rate, RATED_PEOPLE)
         for rate in OTHER_RATES
     }
     of_measures = {

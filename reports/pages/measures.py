@@ -8,7 +8,6 @@ was learned. `work` keeps the draws, and shares those of the film with `honest`.
 """
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +30,6 @@ from poseterior.probmodel import Likelihood, PoseModel
 from poseterior.probmodel.datasets import Case, from_motions
 from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.measures import MEASURES
-from poseterior.probmodel.motion import read_motion
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.reports.figures.colours import PALETTE
 from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
@@ -47,6 +45,7 @@ from poseterior.reports.pages.filmed import (
 )
 from poseterior.reports.pages.honest import STRETCH
 from poseterior.reports.pages.page import Data, Page, Work, kept, run
+from poseterior.reports.pages.people import HALVES, Strangers, strangers
 from poseterior.reports.pages.real import ERRORS
 from poseterior.reports.tables import Column, Sheet, sheet_of
 from poseterior.reports.tables.measured import measure_scores_table
@@ -144,24 +143,31 @@ def _standings(seen: Film, case: FilmedCase, found: FilmedDraws) -> MeasureStand
     return standings_of(truth, draws + errors, draws, rng)
 
 
-def strangers(data: Path) -> list[Case]:
-    """Poses, as many of each person as of any other, of captured people from whom no limits were
-    learned, with a detector's errors."""
-    motions = read_motion(data / "cmu" / "extremes")
-    return list(from_motions(motions, "CMU", frames=STRANGERS_POSES, noise=ERRORS["detector"]))
+class Captured(NamedTuple):
+    """Poses of people, as many of each as of any other, with a detector's errors, and a model that
+    was learned from others."""
+
+    model: PoseModel
+    cases: list[Case]
+
+    @classmethod
+    def of(cls, some: Strangers) -> "Captured":
+        """So many poses that all parts together are `STRANGERS_POSES`."""
+        number, noise = STRANGERS_POSES // HALVES, ERRORS["detector"]
+        return cls(some.model, list(from_motions(some.motions, "CMU", frames=number, noise=noise)))
+
+    @property
+    def possible(self) -> float:
+        """The share of poses that the limits allow."""
+        poses = np.stack([case.pose / case.unit for case in self.cases])
+        return float(np.mean(self.model.limits.check(poses).pose_valid))
 
 
-def possible(cases: Sequence[Case]) -> float:
-    """The share of poses that the limits allow."""
-    poses = np.stack([case.pose / case.unit for case in cases])
-    return float(np.mean(PoseModel().limits.check(poses).pose_valid))
-
-
-def captured(cases: Sequence[Case]) -> xr.DataTree:
-    """Where the truths of captured people stand among draws under the embedded wide limits."""
+def captured(some: Captured) -> xr.DataTree:
+    """Where the truths stand among draws."""
     return cover(
-        PoseModel(),
-        cases,
+        some.model,
+        some.cases,
         num_samples=STRANGERS_DRAWS,
         likelihood=Likelihood(Gaussian()),
         num_roots=STRANGERS_ROOTS,
@@ -257,10 +263,15 @@ def main(data: Data, work: Work) -> Page:
     seen = film(data)
     film_draws = {name: list(drawn(seen, way, work)) for name, way in MEASURED_WAYS.items()}
     found = {name: filmed(seen, cases) for name, cases in film_draws.items()}
-    cases = strangers(data)
-    tree = kept(work / "measures-strangers.nc", captured, cases)
-    person = np.array([case.subject for case in cases])
-    found[MOCAP] = Measured(measure_standings(tree), person)
+    parts = [Captured.of(some) for some in strangers(work, data)]
+    stood = [
+        measure_standings(kept(work / f"measures-strangers-{number}.nc", captured, part))
+        for number, part in enumerate(parts)
+    ]
+    person = np.array([case.subject for part in parts for case in part.cases])
+    found[MOCAP] = Measured(
+        MeasureStandings(*map(np.concatenate, zip(*stood, strict=True))), person
+    )
     everything = {way: one.scores for way, one in found.items()}
     values: dict[str, str | int | Sheet] = {
         "overview": overview(found),
@@ -269,9 +280,9 @@ def main(data: Data, work: Work) -> Page:
         "draws": f"{MEASURED_DRAWS:,}",
         "roots": f"{FILM_ROOTS:,}",
         "more_roots": f"{4 * FILM_ROOTS:,}",
-        "poses": len(cases),
-        "people": len({case.subject for case in cases}),
-        "possible": f"{100 * possible(cases):.0f} %",
+        "poses": len(person),
+        "people": len({*person.tolist()}),
+        "possible": f"{100 * np.mean([part.possible for part in parts]):.0f} %",
         "motion_roots": f"{STRANGERS_ROOTS:,}",
         "film_within": within(everything["one camera"]),
         "mocap_within": within(everything[MOCAP]),

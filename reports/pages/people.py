@@ -1,13 +1,50 @@
 """Who is left out of what is learned."""
 
+import functools
 from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
+from poseterior.probmodel import PoseModel
+from poseterior.probmodel.anatomy.population import Anatomy
+from poseterior.probmodel.learning.learner import learn
+from poseterior.probmodel.learning.poses import read_all
+from poseterior.probmodel.learning.tolerance import DEFAULT
 from poseterior.probmodel.motion import Motion
 
 AGAIN = "walking/walking_1"
 """A recording of subject 02 under another name: whoever is left out, it is too."""
+CAPTURED_FILES = ("cmu/asfamc", "cmu/actions_train.npz", "bvh", "cmu/extremes")
+"""Of the embedded tables, in the data pack."""
+UNUSUAL = "cmu/extremes"
+HALVES, WIDE_MARGINS = 2, 2.0
+"""In how many parts its people are judged, and times the usual margins that the limits have: those
+of `--limits wide`."""
+
+
+class Strangers(NamedTuple):
+    """Recordings of people, and a model that was learned from everybody else."""
+
+    model: PoseModel
+    motions: list[Motion]
 
 
 def without(motions: Sequence[Motion], subjects: Collection[str]) -> list[Motion]:
     """The recordings of everybody else."""
     return [one for one in motions if one.subject not in subjects and one.name != AGAIN]
+
+
+@functools.cache
+def strangers(work: Path, data: Path) -> tuple[Strangers, ...]:
+    """All people of `UNUSUAL`, each part of them beside what was learned from all others; it is
+    kept in `work`."""
+    everything = read_all([data / source for source in CAPTURED_FILES])
+    people = list(dict.fromkeys(motion.subject for motion in read_all([data / UNUSUAL])))
+    found = []
+    for part in range(HALVES):
+        own, path = people[part::HALVES], work / f"limits-{part}.npz"
+        if not path.exists():
+            learn(without(everything, own), tolerance=DEFAULT.wider(WIDE_MARGINS)).save(path)
+        model = PoseModel.from_anatomy(Anatomy.load(path))
+        found.append(Strangers(model, [one for one in everything if one.subject in own]))
+    return tuple(found)

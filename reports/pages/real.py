@@ -38,7 +38,7 @@ from poseterior.probmodel.learning.poses import read_all
 from poseterior.probmodel.motion import Motion
 from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.reports.pages.page import kept
-from poseterior.reports.pages.people import without
+from poseterior.reports.pages.people import CAPTURED_FILES, without
 
 DETECTOR = 0.08 / 4.85
 """As far as MMPose lies from the annotation on the one image that both are of, 0.08 limb lengths,
@@ -73,7 +73,7 @@ class Held(NamedTuple):
 
 def others(data: Path, subjects: Collection[str]) -> list[Motion]:
     """The recordings of everybody but these people."""
-    return without(read_all([data / "cmu" / "actions_train.npz", data / "bvh"]), subjects)
+    return without(read_all([data / source for source in CAPTURED_FILES]), subjects)
 
 
 @functools.cache

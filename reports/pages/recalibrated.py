@@ -15,9 +15,10 @@ from poseterior.inference.studies.calibration.real import read_cases
 from poseterior.inference.studies.intervals import of_share
 from poseterior.inference.studies.judging.repair import recalibrate
 from poseterior.inference.studies.judging.where import SHOWN, central
-from poseterior.probmodel.datasets import Case
+from poseterior.probmodel.datasets import Case, Noise, from_motions
 from poseterior.probmodel.model import PoseModel
 from poseterior.reports.pages.page import kept
+from poseterior.reports.pages.people import HALVES, strangers
 from poseterior.reports.tables.coverage import share
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
@@ -32,24 +33,13 @@ PLACES = {
 }
 
 
-class Capture(NamedTuple):
-    """Poses of a data set: its path in the data pack, the noise of detections, and how many."""
-
-    path: str
-    noise: str
-    poses: int
-
-    def cases(self, data: Path) -> tuple[list[Case], dict[str, Any]]:
-        """As they are seen, and where they come from."""
-        return read_cases(data / self.path, frames=self.poses, noise=self.noise)
-
-
 CAPTURES = {
-    "the calibrated cameras": Capture("multicamera", "none", 60),
-    "motion capture": Capture("cmu/actions_train.npz", "gaussian:0.01", 60),
-    "motion capture of 18 people": Capture("cmu/extremes", "gaussian:0.01", 90),
+    "the calibrated cameras": ("multicamera", "none"),
+    "motion capture": ("cmu/actions_train.npz", "gaussian:0.01"),
 }
+"""Of the data pack, and the noise of their detections."""
 OF_PEOPLE = "motion capture of 18 people"
+CAPTURED_POSES, PEOPLES_POSES = 60, 90
 
 
 class OnOurs(NamedTuple):
@@ -64,27 +54,42 @@ class OnOurs(NamedTuple):
 
 def on_ours(data: Path, work: Path) -> OnOurs:
     """Of the data pack; the levels are kept in the folder."""
-    found = {name: _levels(capture, data, work) for name, capture in CAPTURES.items()}
-    people = np.array([case.subject for case in CAPTURES[OF_PEOPLE].cases(data)[0]])
+    found = {
+        name: _levels(
+            work / f"{Path(path).stem}.nc",
+            PoseModel(),
+            *read_cases(data / path, frames=CAPTURED_POSES, noise=noise),
+        )
+        for name, (path, noise) in CAPTURES.items()
+    }
+    parts, people = [], []
+    for number, some in enumerate(strangers(work, data)):
+        frames, noise = PEOPLES_POSES // HALVES, Noise("gaussian", 0.01)
+        cases = list(from_motions(some.motions, "CMU", frames=frames, noise=noise))
+        parts.append(_levels(work / f"people-{number}.nc", some.model, cases, {}))
+        people += [case.subject for case in cases]
+    levels, recordings = zip(*parts, strict=True)
+    together: xr.DataArray = xr.concat(list(levels), "simulation")
+    found[OF_PEOPLE] = together, np.concatenate(recordings)
     return OnOurs(
         _held_table(found),
-        _recalibrated_table(found[OF_PEOPLE][0], people),
-        len(np.unique(people)),
+        _recalibrated_table(found[OF_PEOPLE][0], np.array(people)),
+        len({*people}),
         len(people),
     )
 
 
-def _levels(capture: Capture, data: Path, work: Path) -> tuple[xr.DataArray, np.ndarray]:
+def _levels(
+    path: Path, model: PoseModel, cases: list[Case], source: dict[str, Any]
+) -> tuple[xr.DataArray, np.ndarray]:
     """Levels (simulation, quantity), and the recording of each simulation."""
-    tree = kept(work / f"{Path(capture.path).stem}.nc", _covered, *capture.cases(data))
+    tree = kept(path, _covered, model, cases, source)
     found = tree["simulation"].to_dataset()
     return found["level"], found["recording"].values
 
 
-def _covered(cases: list[Case], source: dict[str, Any]) -> xr.DataTree:
-    return cover(
-        PoseModel(), cases, source=source, num_samples=COVERED_DRAWS, num_roots=COVERED_DRAWS
-    )
+def _covered(model: PoseModel, cases: list[Case], source: dict[str, Any]) -> xr.DataTree:
+    return cover(model, cases, source=source, num_samples=COVERED_DRAWS, num_roots=COVERED_DRAWS)
 
 
 def _held_table(found: Mapping[str, tuple[xr.DataArray, np.ndarray]]) -> Sheet:

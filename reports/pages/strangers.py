@@ -40,7 +40,7 @@ from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.datasets.person_views import PersonView, read_person_views
 from poseterior.probmodel.errors.laws import Student
 from poseterior.probmodel.layouts import LAYOUTS, corrected
-from poseterior.probmodel.motion import read_motion
+from poseterior.probmodel.motion import Motion
 from poseterior.probmodel.sessions import Session, read_session
 from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 from poseterior.reports.figures.colours import PALETTE
@@ -48,12 +48,12 @@ from poseterior.reports.figures.style import page as blank_page
 from poseterior.reports.figures.style import tidy
 from poseterior.reports.pages.filmed import PARTS, Film
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
+from poseterior.reports.pages.people import strangers
 from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.sheet import percents
 
-HALF_VIEWS, ROOM_VIEWS, CAPTURED_VIEWS = 12, 30, 12
-"""Of each half of the film by each detector, of the operating room, and of motion capture at each
-distance."""
+HALF_VIEWS, ROOM_VIEWS = 12, 30
+"""Of each half of the film by each detector, and of the operating room."""
 STRANGER_DRAWS, STRANGER_ROOTS = 1000, 300
 DISTANCES = (1.0, 1.5, 2.5, 4.0, 8.0)
 """Metres from the simulated camera to the pelvis."""
@@ -135,11 +135,10 @@ def views_of_session(
     return even(list(filter(of_the_person, found)), number)
 
 
-def captured(data: Path, law: DetectorErrors, metres: float) -> list[PersonView]:
-    """One pose of each of the first subjects that limits were not learned from, before a camera at
-    a distance, seen by a detector that errs as the law says."""
-    motions = read_motion(data / "cmu" / "extremes")
-    subjects = list(dict.fromkeys(motion.subject for motion in motions))[:CAPTURED_VIEWS]
+def captured(motions: list[Motion], law: DetectorErrors, metres: float) -> list[PersonView]:
+    """One pose of each subject, before a camera at a distance, seen by a detector that errs as the
+    law says."""
+    subjects = list(dict.fromkeys(motion.subject for motion in motions))
     people = law.definitions(len(subjects))
     assert people is not None
     found = []
@@ -197,13 +196,19 @@ def strays_of(law: DetectorErrors, rng: np.random.Generator) -> np.ndarray:
 
 
 def judged(
-    views: Sequence[PersonView], laws: Sequence[DetectorErrors], camera: str, name: str
+    views: Sequence[PersonView],
+    models: Mapping[str, PoseModel],
+    laws: Sequence[DetectorErrors],
+    camera: str,
+    name: str,
 ) -> list[dict[str, Any]]:
-    """What draws say of views, each under its law, as plain values."""
-    model = PoseModel()
-    units = units_of(views, model)
+    """What draws say of views, each under its law and the model of its person (the embedded one
+    where there is none), as plain values."""
+    embedded = PoseModel()
+    units = units_of(views, embedded)
     found = []
     for seed, (view, law) in enumerate(zip(views, laws, strict=True)):
+        model = models.get(view.person, embedded)
         view = view._replace(detection=_known(view.detection, law))
         seen_by, likelihood = model.seen_by(view.believed(camera)), Likelihood.of(law)
         given = view, units[view.person], seen_by, likelihood, seed
@@ -223,10 +228,12 @@ def _known(seen: Detection, law: DetectorErrors) -> Detection:
 
 
 class Judging(NamedTuple):
-    """All views, by what they are of, and the laws of each of them by line."""
+    """All views, by what they are of, the laws of each of them by line, and the models of people
+    from whom the embedded one was learned: without them."""
 
     views: Mapping[str, list[PersonView]]
     laws: Mapping[Line, list[DetectorErrors]]
+    models: Mapping[str, PoseModel]
 
 
 def real(data: Path, work: Path) -> Judging:
@@ -259,13 +266,16 @@ def real(data: Path, work: Path) -> Judging:
     for name, own in views.items():
         for camera in (UNKNOWN, WEAK):
             laws[Line(name, EMBEDDED_LAW, camera)] = [embedded] * len(own)
-    return Judging(views, laws)
+    return Judging(views, laws, {})
 
 
-def simulated(data: Path, law: DetectorErrors) -> Judging:
+def simulated(data: Path, work: Path, law: DetectorErrors) -> Judging:
     """Views of captured subjects by a detector that errs as a law says."""
     embedded = DetectorErrors.default()
-    views = {f"{far:g} m": captured(data, law, far) for far in DISTANCES}
+    parts = strangers(work, data)
+    everybody = [motion for part in parts for motion in part.motions]
+    models = {motion.subject: part.model for part in parts for motion in part.motions}
+    views = {f"{far:g} m": captured(everybody, law, far) for far in DISTANCES}
     lines = {
         (EMBEDDED_LAW, UNKNOWN): embedded,
         (EMBEDDED_LAW, WEAK): embedded,
@@ -278,6 +288,7 @@ def simulated(data: Path, law: DetectorErrors) -> Judging:
             for name in views
             for said, own in lines.items()
         },
+        models,
     )
 
 
@@ -292,6 +303,7 @@ def outcomes_of(judging: Judging, work: Path) -> Kept:
             work / line.file,
             judged,
             judging.views[line.views],
+            judging.models,
             judging.laws[line],
             line.camera,
             str(line),
@@ -418,7 +430,7 @@ def parts_of_errors(judging: Judging, outcomes: Kept, middle: str) -> Sheet:
 def main(data: Data, work: Work) -> Page:
     """Judges what is left to be judged, then writes the page."""
     people = real(data, work)
-    bodies = simulated(data, DetectorErrors.read(work / "law-OpenPose.json"))
+    bodies = simulated(data, work, DetectorErrors.read(work / "law-OpenPose.json"))
     seen, made = outcomes_of(people, work), outcomes_of(bodies, work)
     apart = functools.partial(table, people, seen)
     values: dict[str, str | int | Sheet] = {
@@ -427,7 +439,7 @@ def main(data: Data, work: Work) -> Page:
         "table": apart(["shoulders"]),
         "hips": apart(["hips"]),
         "captured": table(bodies, made, ["hips"]),
-        "subjects": CAPTURED_VIEWS,
+        "subjects": len(bodies.models),
         "gaps": gaps(people.views),
         "another": f"{person_views.ANOTHER:.0f}",
         "off": by_detection(people, seen, "shoulders"),

@@ -35,11 +35,13 @@ _FINE = _FINE[_FINE[:, 2] > np.cos(np.radians(5))]
 
 class Observations(NamedTuple):
     """What was seen of a lower bone: `parent` and `lower`, local directions `(N, 3)` of its parent
-    and of the bone itself; `thinned`, the indices of distinct ones (one for each pair of cubes);
-    `tree` of the thinned parents; `by_cell`, indices by the parent's cell."""
+    and of the bone itself; `in_torso`, the latter in the torso's axes; `thinned`, the indices of
+    distinct ones (one for each pair of cubes); `tree` of the thinned parents; `by_cell`, indices by
+    the parent's cell."""
 
     parent: np.ndarray
     lower: np.ndarray
+    in_torso: np.ndarray
     thinned: np.ndarray
     tree: cKDTree
     by_cell: dict[int, np.ndarray]
@@ -50,13 +52,13 @@ class Observations(NamedTuple):
         in the torso's axes."""
         in_torso = np.einsum("nij,nj->ni", lower_axes_of(parent), lower)
         regular = in_company(parent, in_torso, others=tolerance.company, degrees=tolerance.within)
-        parent, lower = parent[regular], lower[regular]
+        parent, lower, in_torso = parent[regular], lower[regular], in_torso[regular]
         own = np.ravel_multi_index(cells_of(parent), GRID)
         thinned = np.unique(cubes_of(parent) * CUBES**3 + cubes_of(lower), return_index=True)[1]
         order = np.argsort(own, kind="stable")
         cells, first = np.unique(own[order], return_index=True)
         by_cell = dict(zip(cells.tolist(), np.split(order, first[1:]), strict=True))
-        return cls(parent, lower, thinned, cKDTree(parent[thinned]), by_cell)
+        return cls(parent, lower, in_torso, thinned, cKDTree(parent[thinned]), by_cell)
 
     def around(self, column: int, row: int, tolerance: Tolerance) -> np.ndarray:
         """Local directions `(n, 3)` of the lower bone seen in and near a cell of the parent."""
@@ -71,8 +73,7 @@ class Observations(NamedTuple):
         """Neighbours' directions as seen from the cell: the lower bone is carried along when its
         parent swings there by the shortest way, because local axes spin fast where the parent nears
         the reference."""
-        parent = self.parent[near]
-        in_torso = np.einsum("nij,nj->ni", lower_axes_of(parent), self.lower[near])
+        parent, in_torso = self.parent[near], self.in_torso[near]
         points = grid_points(column + _CORNERS[:, 0], row + _CORNERS[:, 1])
         if abs(points[0] @ REFERENCE) < np.cos(np.radians(SPINNING)):
             points = points[:1]

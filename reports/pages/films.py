@@ -44,7 +44,7 @@ from poseterior.reports.figures.style import FAINT, INK, SMALL, TEXT, page, tidy
 from poseterior.reports.pages.honest import STRETCH
 from poseterior.reports.pages.measures import Measured, overview, within
 from poseterior.reports.pages.page import Data, Page, Work, run
-from poseterior.reports.pages.people import Strangers, strangers
+from poseterior.reports.pages.people import Strangers, strangers, together
 from poseterior.reports.pages.strangers import camera_turn, seen_from
 from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.sheet import NOTHING
@@ -182,8 +182,7 @@ def captured_films(
 ) -> list[TrueFilm]:
     """The first subjects, each in the middle of a recording, before a camera that stands still, by
     a detector whose errors last; their models were learned from others."""
-    motions = [motion for part in parts for motion in part.motions]
-    models = {motion.subject: part.model for part in parts for motion in part.motions}
+    motions, models = together(parts)
     longest = {one.subject: one for one in sorted(motions, key=lambda one: len(one.joints))}
     seconds = {name: len(one.joints) / one.frame_rate for name, one in longest.items()}
     some = [longest[name] for name in sorted(longest) if seconds[name] >= CAPTURED_SECONDS]

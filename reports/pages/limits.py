@@ -10,12 +10,12 @@ import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from poseterior import inference
 from poseterior.inference import benchmark
+from poseterior.probmodel import Detection
 from poseterior.probmodel.anatomy.limits import GRID, AnatomicalLimits
 from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.anatomy.published import read_published
@@ -54,6 +54,8 @@ LEFT_OUT = (
     ("03", "cmu_12_01_walk", "cmu_131_03"),
 )
 """Subjects, each learned from all others' recordings; the action set is on the skeleton of 02."""
+OF_FIVE = ("01", *LEFT_OUT[-2], *LEFT_OUT[-1])
+"""From whom the tables of five people were learned."""
 MOST_UNUSUAL = ("05", "14", "29", "49", "69", "90", "127")
 DEPTH_POSES, DEPTH_DRAWS, DEPTH_ROOTS = 24, 1500, 600
 """By which widths of depth are compared."""
@@ -151,12 +153,17 @@ def worth(poses: Poses, data: Path, tolerance: Tolerance) -> dict[str, float]:
     return {
         "own": valid(limits, np.concatenate([*poses.values()]))[0],
         "room": float(np.prod(measure.area[free] / measure.other_area[free])),
-        "depth": depth(limits, data) / depth(five, data),
+        "depth": depth(limits, data) / _depth_under_five(data),
     }
 
 
 @functools.cache
-def _detections(data: Path) -> list[Any]:
+def _depth_under_five(data: Path) -> float:
+    return depth(benchmark.frozen_model().limits, data)
+
+
+@functools.cache
+def _detections(data: Path) -> list[Detection]:
     motions = read_all([data / UNUSUAL])
     some = from_motions(motions, "CMU", frames=DEPTH_POSES, noise=ERRORS["detector"])
     return [case.detection for case in some]
@@ -217,7 +224,6 @@ def by_subject(poses: Poses, found: Mapping[str, Mapping[str, list[float]]]) -> 
     """A line for each subject: what is possible of its poses under limits that were learned from
     others, and which bone breaks them most often."""
     five = benchmark.frozen_model().limits
-    new = {who for part in LEFT_OUT[:5] for who in part} - {"01"}
     rows = []
     for who in sorted(poses, key=lambda name: found["default"][name][0]):
         own = found["default"][who]
@@ -226,7 +232,7 @@ def by_subject(poses: Poses, found: Mapping[str, Mapping[str, list[float]]]) -> 
             (
                 who.replace("_", " "),
                 len(poses[who]),
-                valid(five, poses[who])[0] if who in new else None,
+                None if who in OF_FIVE else valid(five, poses[who])[0],
                 own[0],
                 found["wide"][who][0],
                 ""

@@ -14,9 +14,9 @@ from poseterior.probmodel.motion import Motion
 
 AGAIN = "walking/walking_1"
 """A recording of subject 02 under another name: whoever is left out, it is too."""
-CAPTURED_FILES = ("cmu/asfamc", "cmu/actions_train.npz", "bvh", "cmu/extremes")
+EVERYDAY, UNUSUAL = ("cmu/asfamc", "cmu/actions_train.npz", "bvh"), "cmu/extremes"
+CAPTURED_FILES = (*EVERYDAY, UNUSUAL)
 """Of the embedded tables, in the data pack."""
-UNUSUAL = "cmu/extremes"
 HALVES, WIDE_MARGINS = 2, 2.0
 """In how many parts its people are judged, and times the usual margins that the limits have: those
 of `--limits wide`."""
@@ -38,13 +38,21 @@ def without(motions: Sequence[Motion], subjects: Collection[str]) -> list[Motion
 def strangers(work: Path, data: Path) -> tuple[Strangers, ...]:
     """All people of `UNUSUAL`, each part of them beside what was learned from all others; it is
     kept in `work`."""
-    everything = read_all([data / source for source in CAPTURED_FILES])
-    people = list(dict.fromkeys(motion.subject for motion in read_all([data / UNUSUAL])))
+    everyday, unusual = read_all([data / source for source in EVERYDAY]), read_all([data / UNUSUAL])
+    people = list(dict.fromkeys(motion.subject for motion in unusual))
     found = []
     for part in range(HALVES):
         own, path = people[part::HALVES], work / f"limits-{part}.npz"
         if not path.exists():
-            learn(without(everything, own), tolerance=DEFAULT.wider(WIDE_MARGINS)).save(path)
+            learn(without([*everyday, *unusual], own), tolerance=DEFAULT.wider(WIDE_MARGINS)).save(
+                path
+            )
         model = PoseModel.from_anatomy(Anatomy.load(path))
-        found.append(Strangers(model, [one for one in everything if one.subject in own]))
+        found.append(Strangers(model, [one for one in unusual if one.subject in own]))
     return tuple(found)
+
+
+def together(parts: Sequence[Strangers]) -> tuple[list[Motion], dict[str, PoseModel]]:
+    """All recordings, and by subject the model that was learned without it."""
+    motions = [motion for part in parts for motion in part.motions]
+    return motions, {motion.subject: part.model for part in parts for motion in part.motions}

@@ -48,7 +48,7 @@ from poseterior.reports.figures.style import page as blank_page
 from poseterior.reports.figures.style import tidy
 from poseterior.reports.pages.filmed import PARTS, Film
 from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
-from poseterior.reports.pages.people import strangers
+from poseterior.reports.pages.people import strangers, together
 from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.sheet import percents
 
@@ -272,9 +272,7 @@ def real(data: Path, work: Path) -> Judging:
 def simulated(data: Path, work: Path, law: DetectorErrors) -> Judging:
     """Views of captured subjects by a detector that errs as a law says."""
     embedded = DetectorErrors.default()
-    parts = strangers(work, data)
-    everybody = [motion for part in parts for motion in part.motions]
-    models = {motion.subject: part.model for part in parts for motion in part.motions}
+    everybody, models = together(strangers(work, data))
     views = {f"{far:g} m": captured(everybody, law, far) for far in DISTANCES}
     lines = {
         (EMBEDDED_LAW, UNKNOWN): embedded,

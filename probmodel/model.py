@@ -41,9 +41,8 @@ LENGTH_OF_BONE = tuple(bone.length_group for bone in BONES)
 @jax.tree_util.register_pytree_node_class
 @dataclasses.dataclass(frozen=True, init=False)
 class PoseModel:
-    """The model of a pose, a pytree. Without arguments: the embedded wide limits, which are to hold
-    true poses, the embedded lengths and torsos, eqs. 7 and 8. With `paper` the limits are as tight
-    as the paper's.
+    """The model of a pose, a pytree. Without arguments: the embedded limits, lengths and torsos,
+    eqs. 7 and 8.
 
     Derived once: `cells`, the regions of the five upper bones (leaves start with 5), and `hinges`,
     those of the four lower bones in every cell of their parents (leaves start with 4 × 120 × 60; a
@@ -97,7 +96,7 @@ class PoseModel:
         lens: Lens | None = None,
     ) -> None:
         if limits is None or lengths is None or torsos is None:
-            embedded = Anatomy.embedded("wide")
+            embedded = Anatomy.default()
             limits = embedded.limits if limits is None else limits
             lengths = embedded.lengths if lengths is None else lengths
             torsos = embedded.torsos if torsos is None else torsos
@@ -132,22 +131,6 @@ class PoseModel:
         upper, lower = measures
         model._set(**dict(zip(LEAVES, children, strict=True)), upper=upper, lower=lower)
         return model
-
-    @classmethod
-    def paper(cls, **fields: Any) -> "PoseModel":
-        """The model with limits as tight as the paper's, for candidates held fixed.
-
-        Parameters
-        ----------
-        fields
-            Others of `PoseModel`, by name.
-
-        Returns
-        -------
-        PoseModel
-            The model.
-        """
-        return cls(AnatomicalLimits.default(), **fields)
 
     @classmethod
     def from_anatomy(cls, anatomy: Anatomy, **fields: Any) -> "PoseModel":

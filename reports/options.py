@@ -71,13 +71,13 @@ class JudgedBy(enum.StrEnum):
 Factor = Annotated[
     float, Option(help="The factor in the radius τ of a detection's disc (the paper: 0.25).")
 ]
-Limits = Annotated[
-    str | None,
-    Option(
-        help="'default'; 'wide', with twice the margins around what was seen; a .npz from"
-        " `poseterior learn`; or the published .mat.",
-        show_default="default; of posteriors of torso and camera too, wide",
-    ),
+LIMITS_HELP = (
+    "'default'; 'wide', with twice the margins around what was seen; a .npz from `poseterior"
+    " learn`; or the published .mat."
+)
+Limits = Annotated[str, Option(help=LIMITS_HELP)]
+LimitsOfPoses = Annotated[
+    str | None, Option(help=LIMITS_HELP, show_default="those that the poses were drawn under")
 ]
 NumSamples = Annotated[int, Option(min=1, max=10_000_000, help="How many poses to draw.")]
 Seed = Annotated[int, Option(min=0, max=2**32 - 1, help="The same seed gives the same draws.")]
@@ -228,7 +228,7 @@ class Prior:
     """What anatomy allows: limits, and the measures in which directions are uniform."""
 
     PANEL: ClassVar = "The prior"
-    limits: Limits = None
+    limits: Limits = "default"
     upper: UpperMeasure = option(
         UpperMeasure.angle, "Measure in which upper bones are uniform; angle is eq. 7."
     )
@@ -236,20 +236,16 @@ class Prior:
         LowerMeasure.area, "Measure in which lower bones are uniform; area is eq. 8."
     )
 
-    def anatomy(self, rooted: bool = False) -> "Anatomy":
-        """The tables, by default those of the paper's posterior, or of one that is `rooted`, of
-        torso and camera too: it is to hold true poses, and takes wider ones. Raises `BadInput` on a
-        limits file that is not one."""
-        return anatomy_of(self.limits or ("wide" if rooted else "default"))
+    def anatomy(self) -> "Anatomy":
+        """The tables. Raises `BadInput` on a limits file that is not one."""
+        return anatomy_of(self.limits)
 
-    def model(
-        self, *, rooted: bool = False, upright: float = 0.0, lens: "Lens | None" = None
-    ) -> "PoseModel":
+    def model(self, *, upright: float = 0.0, lens: "Lens | None" = None) -> "PoseModel":
         """The model. Raises `BadInput` on a limits file, or a lens, that is not one."""
         from poseterior.probmodel import PoseModel
 
         return PoseModel.from_anatomy(
-            self.anatomy(rooted), upper=self.upper, lower=self.lower, upright=upright, lens=lens
+            self.anatomy(), upper=self.upper, lower=self.lower, upright=upright, lens=lens
         )
 
 
@@ -611,7 +607,7 @@ class Rooting:
     def model(self, prior: Prior) -> "PoseModel":
         """The model of anatomy, with what is believed of the root. Raises `BadInput` on a limits
         file that is not one."""
-        return prior.model(rooted=self.rooted, upright=concentration(self.upright))
+        return prior.model(upright=concentration(self.upright))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -640,7 +636,7 @@ class Viewing(Rooting):
         its EXIF, if they are known. Raises `BadInput` also on a camera that cannot be, or whose
         optical axis nobody knows."""
         lens = self._lens(size, exif)
-        return prior.model(rooted=self.rooted, upright=concentration(self.upright), lens=lens)
+        return prior.model(upright=concentration(self.upright), lens=lens)
 
     def model_of(self, prior: Prior, person: Person) -> "PoseModel":
         """As `model`, for the image of a person."""

@@ -33,7 +33,7 @@ from poseterior.reports.options import (
     KnownLenses,
     LearnedLaw,
     LengthUnit,
-    Limits,
+    LimitsOfPoses,
     NumSamples,
     Open,
     Person,
@@ -462,7 +462,7 @@ class CheckSettings:
             help="3D poses: .nc, .json, .amc, .bvh, .trc, .c3d, .npy, .npz.", show_default=False
         ),
     ]
-    limits: Limits = None
+    limits: LimitsOfPoses = None
     names: RigNames = None
 
 

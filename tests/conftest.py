@@ -130,7 +130,7 @@ def example_result(example_estimate: "Estimate") -> "Result":
     from poseterior.probmodel import PoseModel
 
     return sample(
-        PoseModel.paper(),
+        PoseModel(),
         example_estimate,
         key=jax.random.key(0),
         num_samples=200,

@@ -107,7 +107,7 @@ an hour, or far longer."""
 def records() -> Iterator[dict[str, Any]]:
     """The targets as they are written, each but `HARD_ONLY` with its version with soft walls behind
     it."""
-    model = PoseModel.paper()
+    model = PoseModel()
     for name, (about, scene) in (FIXED_ROOT | UNCERTAIN_ROOT).items():
         record = uncertain_record if name in UNCERTAIN_ROOT else fixed_record
         frame = scene(model)

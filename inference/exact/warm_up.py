@@ -130,7 +130,7 @@ def programs(root: str) -> None:
     from poseterior.probmodel.pose import Pose
     from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
 
-    model = PoseModel.paper() if root == "fixed" else PoseModel()
+    model = PoseModel()
     estimate = estimate_torso(example().detection)
     number = len(estimate.candidates)
     points: Any = np.arange(number)

@@ -201,7 +201,6 @@ def _protocol(settings: EvaluateSettings) -> Protocol:
         max_proposals=settings.sampling.max_proposals,
         seed=settings.sampling.seed,
         num_roots=settings.roots,
-        rooted_anatomy=prior.anatomy(rooted=UNCERTAIN in roots),
         upright=concentration(settings.upright),
         composed=settings.composed,
     )

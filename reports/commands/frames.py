@@ -86,7 +86,7 @@ def draw(
 def _draw_session(settings: FramesSettings | FilmSettings, out: Path, screen: Screen) -> list[str]:
     """Writes the draws of what calibrated cameras saw; says what is doubtful about them."""
     with console.progress("the session", screen.quiet):
-        model, footage = settings.prior.model(rooted=True), settings.footage
+        model, footage = settings.prior.model(), settings.footage
         session = footage.session
         warnings = said_of(session, list(footage.world.views))
     if session.left_out:

@@ -26,7 +26,7 @@ def run(settings: HypothesesSettings, screen: Screen) -> None:
     with console.progress("the session", screen.quiet):
         session = settings.session
         instant = settings.instant(session)
-        model = settings.prior.model(rooted=True)
+        model = settings.prior.model()
         wrong = said_of(session, [view.label for view in instant.views])
     for sentence in [*wrong, *doubtful(*instant.up)]:
         console.warn(sentence)

@@ -150,7 +150,7 @@ def main(
 ) -> None:
     """Runs the contest on these frames, by their numbers."""
     jax.config.update("jax_compilation_cache_dir", str(work / "compiled"))
-    model = PoseModel.paper()
+    model = PoseModel()
     for number, name in enumerate(SUITE):
         if str(number) in frames.split(","):
             print(name, flush=True)

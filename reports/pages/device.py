@@ -166,7 +166,7 @@ def picture(rates: Sequence[float]) -> Figure:
 
 def main(data: Data = SHARED) -> Page:
     """Measures, writes, and prints the page."""
-    model = PoseModel.paper()
+    model = PoseModel()
     sets = frames_of(model, data, DEVICE_FRAMES)
     costs = {title: [cost(model, frame) for frame in frames] for title, frames in sets.items()}
     frames = list(sets.values())[-1]

@@ -162,7 +162,7 @@ def best_tests(people: list[Told]) -> Sheet:
 
 def main(people: People = EXCHANGE_PEOPLE) -> Page:
     """Runs the study and writes the page."""
-    model = PoseModel.paper()
+    model = PoseModel()
     told = []
     for seed in range(people):
         told.append(tell(model, prior_scene(model, 500 + seed, missing=()), seed))

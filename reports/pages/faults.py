@@ -170,7 +170,7 @@ def probabilities_figure(outcomes: dict[str, list[JudgedFaults]]) -> Figure:
 
 def main(people: People = FAULT_PEOPLE) -> Page:
     """Runs the study and writes the page."""
-    model = PoseModel.paper()
+    model = PoseModel()
     frames = [prior_scene(model, 500 + seed, missing=()) for seed in range(people)]
     outcomes, without = (
         {

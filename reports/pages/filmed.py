@@ -346,4 +346,4 @@ def _kept(joints: np.ndarray, roots: float, seconds: float) -> Groups:
 
 @functools.cache
 def _model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()

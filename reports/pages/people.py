@@ -9,7 +9,6 @@ from poseterior.probmodel import PoseModel
 from poseterior.probmodel.anatomy.population import Anatomy
 from poseterior.probmodel.learning.learner import learn
 from poseterior.probmodel.learning.poses import read_all
-from poseterior.probmodel.learning.tolerance import DEFAULT
 from poseterior.probmodel.motion import Motion
 
 AGAIN = "walking/walking_1"
@@ -17,9 +16,8 @@ AGAIN = "walking/walking_1"
 EVERYDAY, UNUSUAL = ("cmu/asfamc", "cmu/actions_train.npz", "bvh"), "cmu/extremes"
 CAPTURED_FILES = (*EVERYDAY, UNUSUAL)
 """Of the embedded tables, in the data pack."""
-HALVES, WIDE_MARGINS = 2, 2.0
-"""In how many parts its people are judged, and times the usual margins that the limits have: those
-of `--limits wide`."""
+HALVES = 2
+"""In how many parts its people are judged."""
 
 
 class Strangers(NamedTuple):
@@ -44,9 +42,7 @@ def strangers(work: Path, data: Path) -> tuple[Strangers, ...]:
     for part in range(HALVES):
         own, path = people[part::HALVES], work / f"limits-{part}.npz"
         if not path.exists():
-            learn(without([*everyday, *unusual], own), tolerance=DEFAULT.wider(WIDE_MARGINS)).save(
-                path
-            )
+            learn(without([*everyday, *unusual], own)).save(path)
         model = PoseModel.from_anatomy(Anatomy.load(path))
         found.append(Strangers(model, [one for one in unusual if one.subject in own]))
     return tuple(found)

@@ -213,7 +213,7 @@ def main(data: Data) -> Page:
         for frame, law in zip(ROUTE_FRAMES, TURNS, strict=True)
         for number, detection in enumerate(seen[frame], 1)
     ]
-    model = PoseModel.paper()
+    model = PoseModel()
     found = []
     for law in ROUTE_LAWS:  # compiled before times are taken
         first = next(case for case in cases if case.law == law)

@@ -38,7 +38,7 @@ def exact(work: Path, data: Path) -> None:
     """1,000 simulations × 1,000 exact draws in every measure, and what they cost."""
     for upper, lower in BASE_MEASURES:
         path = work / f"exact-{upper}-{lower}.nc"
-        model = PoseModel.paper(upper=upper, lower=lower)
+        model = PoseModel(upper=upper, lower=lower)
         kept_json(path.with_suffix(".json"), _clocked, model, path)
 
 
@@ -59,7 +59,7 @@ def _clocked(model: PoseModel, path: Path) -> list[float]:
 
 def controls(work: Path, data: Path) -> None:
     """Wrong posteriors on the first simulations, by the same tests."""
-    model = PoseModel.paper()
+    model = PoseModel()
     right = sampler_of("rejection", model, SIMULATED_DRAWS, root=CANDIDATES)
     wrong: dict[str, tuple[Sampler, int]] = {
         name: (distorted(right, spoil), CONTROLLED) for name, spoil in DISTORTIONS.items()
@@ -82,7 +82,7 @@ def _calibrated(
 
 def baselines(work: Path, data: Path) -> None:
     """A sampler that is not exact, on the first of the same simulations."""
-    model = PoseModel.paper()
+    model = PoseModel()
     for name, start in JUDGED_BASELINES:
         path = work / f"baseline-{name}-{start}.nc".replace(" ", "-")
         draw = sampler_of(

@@ -392,7 +392,7 @@ class Million(NamedTuple):
 def million(to_file: bool, double: bool) -> Million:
     """Draws and saves them, in memory first or straight to the file, once a few have been drawn."""
     in_doubles()
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = estimate_torso(example().detection)
     number = 1_000_000
     draw = functools.partial(sample, model, frame, key=jax.random.key(0))
@@ -443,7 +443,7 @@ def picture(found: dict[str, Curve], stream: Curve) -> Figure:
 def main(data: Data = SHARED) -> Page:
     """Measures, writes, and prints the page."""
     large = millions()  # first: a process starts with the peak of the one that it comes from
-    model = PoseModel.paper()
+    model = PoseModel()
     sets = frames_of(model, data)
     frames = list(sets.values())[-1]
     # Compiles.

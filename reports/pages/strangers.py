@@ -172,7 +172,7 @@ def seen_from(
     unit, place = float(body_unit(pose[None])), np.array([0.0, 0.0, 1000 * metres])
     truth = pose @ turn.T + place
     torso = (truth - truth[0])[None, list(TORSO_INDEX)] / unit
-    axes = align_torsos(torso, mean_torso(Anatomy.embedded("wide").torsos))[0]
+    axes = align_torsos(torso, mean_torso(Anatomy.default().torsos))[0]
     points = truth + unit * definition @ axes
     focal, middle = FOCAL_OF_IMAGE * IMAGE, np.full(2, IMAGE / 2)
     pixels = focal * points[:, :2] / points[:, 2:] + middle

@@ -31,7 +31,7 @@ WHOLE_BUDGET = 30_000_000
 def simulated(work: Path) -> xr.Dataset:
     """The simulations by weighted roots."""
     tree = calibrate(
-        PoseModel.paper(),
+        PoseModel(),
         seed=WHOLE_SEED,
         num_simulations=WHOLE_SIMULATIONS,
         num_samples=WHOLE_DRAWS,

@@ -14,7 +14,7 @@ from tests.witnesses.pruned import BATCH, group_prior
 
 @pytest.fixture(scope="module")
 def problem():
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = inference.estimate_torso(example().detection)
     return model, frame, build_groups(model, frame.observation)["arms"]
 

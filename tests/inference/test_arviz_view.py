@@ -96,7 +96,7 @@ def uncertain(example_estimate: Estimate) -> xr.DataTree:
 def fixed(example_estimate: Estimate) -> xr.DataTree:
     """Two chains, under the paper's."""
     return inference.sample(
-        PoseModel.paper(),
+        PoseModel(),
         example_estimate,
         key=key(1),
         num_samples=300,

@@ -80,7 +80,7 @@ HEAVY = [pytest.param(name, marks=pytest.mark.slow) for name in BASELINES if nam
 @functools.cache
 def low():
     """One arm seen: model, frame, target, exact tree and starting points."""
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 1, missing=ALL_BUT_AN_ARM)
     target = Target.of(frame.posterior(model, CANDIDATES))
     tree = inference.sample(model, frame, key=key(21), num_samples=4000, root="candidates").tree
@@ -90,7 +90,7 @@ def low():
 @functools.cache
 def whole():
     """All limbs seen: target and exact points."""
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 1)
     target = Target.of(frame.posterior(model, CANDIDATES))
     tree = inference.sample(model, frame, key=key(22), num_samples=200, root="candidates").tree
@@ -189,7 +189,7 @@ def test_soft_walls_have_gradients_and_weights_undo_them(law):
 @pytest.mark.parametrize("name", ["smc", "nss", "nautilus"])
 def test_who_shrinks_discs_is_refused_under_another_law(name):
     """By `sample`, by `compare` before any work is done, and where a target is run."""
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 1)
     frame = dataclasses.replace(frame, likelihood=Likelihood(law=Gaussian()))
     refused = pytest.raises(BadInput, match=f"the sampler {name} shrinks discs, and knows of no")

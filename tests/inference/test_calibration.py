@@ -71,7 +71,7 @@ RNG = np.random.default_rng
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()
 
 
 # --- uniformity
@@ -408,7 +408,7 @@ def test_exact_draws_are_calibrated(model: PoseModel) -> None:
 def test_every_measure_is_calibrated(upper: str, lower: str) -> None:
     """Another seed than the report's; false alarm 0.01 for each measure."""
     tree = calibrate(
-        PoseModel.paper(upper=upper, lower=lower),
+        PoseModel(upper=upper, lower=lower),
         "rejection",
         seed=11,
         num_simulations=200,
@@ -423,7 +423,7 @@ def test_every_measure_is_calibrated(upper: str, lower: str) -> None:
 def test_another_measure_is_noticed(model: PoseModel) -> None:
     """Draws under the box measure are judged under the default: a wrong prior, the negative
     control."""
-    wrong = sampler_of("rejection", PoseModel.paper(lower="box"), 100, root="candidates")
+    wrong = sampler_of("rejection", PoseModel(lower="box"), 100, root="candidates")
     tree = calibrate(model, wrong, num_simulations=150, root="candidates")
     assert judge(tree["simulation"].to_dataset()).verdict == MISCALIBRATED
 

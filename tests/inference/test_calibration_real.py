@@ -72,7 +72,7 @@ UNIT = 350.0
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()
 
 
 @pytest.fixture(scope="module")

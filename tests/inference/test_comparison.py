@@ -76,7 +76,7 @@ def between(count: int, rate: float) -> bool:
 @functools.cache
 def arm():
     """One arm seen: the model, the frame, and 20,000 exact draws as joints and lengths."""
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 1, missing=ALL_BUT_AN_ARM)
     tree = inference.sample(model, frame, key=key(11), num_samples=20_000, root="candidates").tree
     return model, frame, tree["posterior"].joints.values[0], tree["posterior"].bone_length.values[0]

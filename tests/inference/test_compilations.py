@@ -21,7 +21,7 @@ def test_another_key_compiles_nothing(
     example_estimate: Estimate, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert len(example_estimate.candidates) == 2
-    model = PoseModel.paper()
+    model = PoseModel()
     inference.sample(model, example_estimate, key=key(0), num_samples=100, root="candidates")
     with jax.log_compiles():
         for seed in (1, 2, 3):
@@ -38,7 +38,7 @@ def test_a_stream_under_an_uncertain_root_compiles_for_its_first_frame_alone(
     example_estimate: Estimate, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Frames bring other numbers of roots and of draws; programs are as many as for one."""
-    draw = drawer(PoseModel.paper(), root="uncertain", num_samples=50, num_roots=20)
+    draw = drawer(PoseModel(), root="uncertain", num_samples=50, num_roots=20)
     draw(example_estimate, key(0))
     with jax.log_compiles():
         for seed in (1, 2):

@@ -47,8 +47,8 @@ CASES = {
 @functools.cache
 def scene(name: str = "disc") -> tuple[PoseModel, Estimate]:
     likelihood, lens = CASES[name]
-    model = PoseModel.paper().seen_by(lens)
-    frame = prior_scene(PoseModel.paper(), 3, factor=SMALL if name == "small discs" else 0.5)
+    model = PoseModel().seen_by(lens)
+    frame = prior_scene(PoseModel(), 3, factor=SMALL if name == "small discs" else 0.5)
     return model, dataclasses.replace(frame, likelihood=likelihood)
 
 

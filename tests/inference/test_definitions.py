@@ -54,7 +54,7 @@ def seen(number: int, seed: int, *, around: bool = True) -> DataSet:
     """People of the embedded dictionary, turned anyhow, or not, before a detector with these
     offsets, a bias in the image, errors of 0.08, and one outlier in twenty."""
     rng = np.random.default_rng(seed)
-    torsos = np.asarray(Anatomy.embedded("wide").torsos)
+    torsos = np.asarray(Anatomy.default().torsos)
     body = np.zeros((number, NUM_JOINTS, 3))
     body[:, TORSO] = torsos[rng.integers(len(torsos), size=number)]
     body[:, JOINT_INDEX["head"]] = body[:, JOINT_INDEX["thorax"]] + [0.0, 0.7, 0.1]
@@ -119,7 +119,7 @@ def test_a_law_has_what_was_learned() -> None:
 def test_triangulated_points_beside_the_torso_that_explains_them() -> None:
     """What turned and moved copies of one torso with offsets say of these, but for their mean."""
     rows = [TORSO.index(joint) for joint in GIRDLES]
-    torsos = np.asarray(Anatomy.embedded("wide").torsos)[:, rows]
+    torsos = np.asarray(Anatomy.default().torsos)[:, rows]
     given = offsets()[TORSO][rows]
     # Offsets as large as people differ are taken for another person's: small ones are not.
     given = 0.1 * (given - given.mean(axis=0))

@@ -40,7 +40,7 @@ PLENTY = Budget(10**12)
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()
 
 
 @pytest.fixture(scope="module")

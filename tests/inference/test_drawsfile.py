@@ -35,7 +35,7 @@ FIXED = {"root": "candidates"}
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()
 
 
 @pytest.fixture(autouse=True)

@@ -140,7 +140,7 @@ def by_the_law(joints, camera, keypoints, spread):
 @pytest.mark.parametrize("sampler", ["rejection", "rejection-device", "rejection-group"])
 def test_draws_and_evidence_follow_the_law(sampler):
     """Both arms and their lengths; and the disc that has the same reach, which must fail."""
-    model = PoseModel.paper()
+    model = PoseModel()
     seen = ("right_elbow", "right_wrist", "left_elbow", "left_wrist")
     missing = ("head", "right_knee", "right_ankle", "left_knee", "left_ankle")
     frame = prior_scene(model, 5, factor=0.5, missing=missing)

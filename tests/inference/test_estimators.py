@@ -25,7 +25,7 @@ from tests.scenes import camera, key
 
 TORSOS = Anatomy.default().torsos
 EXAMPLE = example()
-MODEL = PoseModel.paper()
+MODEL = PoseModel()
 METHODS = [*ESTIMATORS, "a file"]
 
 

@@ -438,7 +438,7 @@ def test_directions_do_not_know_the_camera_or_the_size():
 @pytest.mark.slow
 def test_the_uniform_prior_is_the_models_own():
     """The density of drawn poses, found again from their joints, but for the lengths."""
-    model = PoseModel.paper(upper="area", lower="area")
+    model = PoseModel(upper="area", lower="area")
     tree = sample_prior(model, key=jax.random.key(1), num_samples=50)
     joints = np.asarray(tree["prior"].joints)[0]
     from poseterior.probmodel.anatomy.lengths import BoneLength

@@ -14,7 +14,7 @@ from tests.witnesses.pruned import group_prior
 
 @pytest.fixture(scope="module")
 def found():
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 1, factor=0.8)
     return model, frame, inference.evidence(model, frame, key=key(0), relative_error=0.02)
 

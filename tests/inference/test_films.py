@@ -32,7 +32,7 @@ BODIES, FRAMES = 12, 5
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()
 
 
 @pytest.fixture(scope="module")

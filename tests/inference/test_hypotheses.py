@@ -12,7 +12,7 @@ from tests.scenes import key, prior_scene
 
 @pytest.fixture(scope="module")
 def result():
-    model = PoseModel.paper()
+    model = PoseModel()
     return model, inference.sample(
         model, prior_scene(model, 1, factor=0.5), key=key(0), num_samples=1500, root="candidates"
     )
@@ -73,7 +73,7 @@ def test_k_out_of_range_is_refused(result, k):
 
 @pytest.mark.sweep
 def test_the_grid_is_possible_explains_the_detection_and_lies_on_the_grid():
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 1, factor=0.7)
     observation = frame.observation
     poses = inference.grid_poses(model, observation, most=400)
@@ -90,6 +90,6 @@ def test_the_grid_is_possible_explains_the_detection_and_lies_on_the_grid():
 
 @pytest.mark.slow
 def test_a_limb_that_the_grid_cannot_explain_leaves_no_pose():
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 1, factor=0.01)
     assert inference.grid_poses(model, frame.observation).shape == (0, 15, 3)

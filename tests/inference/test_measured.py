@@ -198,7 +198,7 @@ def stream(example_estimate: Estimate, tmp_path_factory: pytest.TempPathFactory)
         Item("f2/0", example_estimate),
     ]
     given = {"num_samples": 30, "k": 2, "keep": 20, "root": "candidates"}
-    sample_frames(PoseModel.paper(), items, key=key(0), out=folder, **given)
+    sample_frames(PoseModel(), items, key=key(0), out=folder, **given)
     return folder
 
 

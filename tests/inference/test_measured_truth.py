@@ -74,7 +74,7 @@ def test_a_turned_sign_fails(toys: tuple) -> None:
 @pytest.mark.sweep
 def test_measures_are_calibrated_under_the_model() -> None:
     """1,000 simulations, exact draws; and a convention whose sign is turned is not."""
-    model = PoseModel.paper()
+    model = PoseModel()
     draw = sampler_of("rejection", model, 100, root=CANDIDATES)
     right, wrong = [], []
     for first in range(0, 1000, 50):

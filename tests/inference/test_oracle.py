@@ -129,7 +129,7 @@ def scene() -> Estimate:
 
 @functools.cache
 def model() -> PoseModel:
-    return PoseModel.paper(torsos=np.asarray(PoseModel.paper().torsos)[[0, 17, 40]])
+    return PoseModel(torsos=np.asarray(PoseModel().torsos)[[0, 17, 40]])
 
 
 def likelihood(row: Row) -> Likelihood:
@@ -157,7 +157,7 @@ def likelihood(row: Row) -> Likelihood:
 
 def ask(row: Row, seed: int = 3, num_samples: int = 4000, num_roots: int = 1500) -> Draws:
     """The product's draws."""
-    people = PoseModel.paper(torsos=model().torsos, upright=UPRIGHT if row.upright else 0.0)
+    people = PoseModel(torsos=model().torsos, upright=UPRIGHT if row.upright else 0.0)
     if row.lens:
         people = people.seen_by(Lens(FOCAL, PRINCIPAL))
     if row.route == REJECTION and row.root == UNCERTAIN:

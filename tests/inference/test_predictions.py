@@ -33,7 +33,7 @@ FALSE_ALARM = 1e-3
 @pytest.fixture(scope="module")
 def chains(example_estimate: Estimate) -> Result:
     return inference.sample(
-        PoseModel.paper(),
+        PoseModel(),
         example_estimate,
         key=key(4),
         num_samples=200,
@@ -48,7 +48,7 @@ def bent(example_estimate: Estimate) -> Posterior:
     law = CutGaussian()
     likelihood = Likelihood(law, example_estimate.likelihood.factor / law.reach)
     return dataclasses.replace(example_estimate, likelihood=likelihood).posterior(
-        PoseModel.paper(), CANDIDATES
+        PoseModel(), CANDIDATES
     )
 
 
@@ -133,7 +133,7 @@ def test_densities_and_predictions_wait_until_they_are_read(
     compute = results.log_density
     monkeypatch.setattr(results, "log_density", lambda draws: calls.append(1) or compute(draws))
     tree = inference.sample(
-        PoseModel.paper(), example_estimate, key=key(4), num_samples=50, root="candidates"
+        PoseModel(), example_estimate, key=key(4), num_samples=50, root="candidates"
     ).tree
     assert not calls
     some = tree["sample_stats"].lp.isel(draw=[3, 7, 40])
@@ -167,7 +167,7 @@ def test_chains_are_independent_runs_with_keys_of_their_own(
     assert dict(posterior.sizes)["chain"] == 4
     assert dict(posterior.sizes)["draw"] == 50
     alone = inference.sample(
-        PoseModel.paper(),
+        PoseModel(),
         example_estimate,
         key=jax.random.split(key(4), 4)[2],
         num_samples=50,
@@ -184,7 +184,7 @@ def test_chains_are_independent_runs_with_keys_of_their_own(
 def test_evidences_are_averaged(chains: Result, example_estimate: Estimate) -> None:
     own = [
         inference.sample(
-            PoseModel.paper(), example_estimate, key=one, num_samples=50, root="candidates"
+            PoseModel(), example_estimate, key=one, num_samples=50, root="candidates"
         ).tree.attrs
         for one in jax.random.split(key(4), 4)
     ]
@@ -207,7 +207,7 @@ def test_the_same_seed_gives_the_same_file(
 ) -> None:
     """All bytes but those of the time that it took."""
     again = inference.sample(
-        PoseModel.paper(),
+        PoseModel(),
         example_estimate,
         key=key(4),
         num_samples=200,
@@ -221,7 +221,7 @@ def test_the_same_seed_gives_the_same_file(
 
 
 def test_a_short_run_shortens_the_others(example_estimate: Estimate) -> None:
-    posterior = example_estimate.posterior(PoseModel.paper(), CANDIDATES)
+    posterior = example_estimate.posterior(PoseModel(), CANDIDATES)
     parts = [ExactRejection().draw(posterior, key(seed), 20 + 10 * seed) for seed in (0, 1)]
     short = dataclasses.replace(parts[0], status="out of budget", sentence="20 of 30 draws")
     whole = joined([parts[1], short])
@@ -242,7 +242,7 @@ def test_a_short_run_shortens_the_others(example_estimate: Estimate) -> None:
 def test_refusals(example_estimate: Estimate, arguments: dict, match: str) -> None:
     with pytest.raises(BadInput, match=match):
         inference.sample(
-            PoseModel.paper(),
+            PoseModel(),
             example_estimate,
             key=key(0),
             num_samples=10,

@@ -48,7 +48,7 @@ def _with_the_witness() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()
 
 
 def smallest(pairs) -> float:
@@ -159,7 +159,7 @@ def mixed(prior, logs) -> float:
 @functools.lru_cache
 def coupled_scene():
     """Both legs seen: their shared lengths couple them."""
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 8, factor=0.5)
     return model, frame, build_groups(model, frame.observation)["legs"]
 
@@ -214,7 +214,7 @@ def test_bounds_are_bounds(upper, lower, factor):
     """Tries to break the pruned proposal: poses of the prior, their own detections, tiny to huge
     discs. A pose explains them, so its cells must be kept, its lower bones lie in their rectangles,
     and the rectangles within their bounds."""
-    model = PoseModel.paper(upper=upper, lower=lower)
+    model = PoseModel(upper=upper, lower=lower)
     observation = prior_scene(model, 3).observation
     for name in ("arms", "legs"):
         group = build_groups(model, observation)[name]
@@ -268,7 +268,7 @@ def _violations(limb, radius, target, upper, lower):
 def test_bounds_test_can_fail():
     """Negative control of the test above: bounds made for too short a range of lengths are
     caught."""
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 3)
     group = build_groups(model, frame.observation)["legs"]
     draws = group_prior(key(4), group, 200)
@@ -377,7 +377,7 @@ def test_the_proposals_agree():
     joints missing, wide discs."""
     pairs, scores = [], []
     for upper, lower in [("angle", "area"), ("area", "box")]:
-        model = PoseModel.paper(upper=upper, lower=lower)
+        model = PoseModel(upper=upper, lower=lower)
         missing = ("head", "right_elbow", "right_knee", "left_ankle", "left_elbow")
         frame = prior_scene(model, 11, factor=1.0, missing=missing)
         results = [

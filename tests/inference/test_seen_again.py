@@ -29,7 +29,7 @@ WRIST = JOINT_INDEX["right_wrist"]
 
 @functools.cache
 def model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()
 
 
 def arm(law: str = "disc") -> Estimate:

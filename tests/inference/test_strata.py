@@ -256,7 +256,7 @@ def compiled_frame(parent, reference, fallback) -> np.ndarray:
 def test_the_compiled_lower_frame_is_the_one_of_the_program():
     """Also beside the reference direction, and where the fallback takes its place."""
     rng = np.random.default_rng(2)
-    limits = PoseModel.paper().limits
+    limits = PoseModel().limits
     reference, fallback = np.asarray(limits.reference), np.asarray(limits.fallback)[0]
     for sine_ in (1.0, 0.3, 1e-3, 1e-7, 1e-9, 0.0):
         for parent in (parents_near(sign * reference, sine_, rng) for sign in (1, -1)):
@@ -273,7 +273,7 @@ def test_the_lower_frame_turns_as_far_as_its_bound_and_hardly_less():
     """Parents that move by a chord, around the reference direction above all; the bound is less
     than half as large again as what is found, and the chord."""
     rng = np.random.default_rng(3)
-    limits = PoseModel.paper().limits
+    limits = PoseModel().limits
     reference, fallback = np.asarray(limits.reference), np.asarray(limits.fallback)[0]
     for sine_ in (0.02, 0.1, 0.5, 1.0):
         for chord in (0.01, 0.3 * sine_, 0.9 * sine_):
@@ -512,7 +512,7 @@ def violations(model, seed, factor, resolution, tighten=1.0, number=60):
 def test_bounds_are_bounds(factor):
     """Tries to break them: bones near the poles and the reference direction, foreshortened limbs,
     whatever the prior has in store, in 120 frames of one limb each."""
-    assert not any(violations(PoseModel.paper(), 0, factor, RESOLUTIONS[0], number=30))
+    assert not any(violations(PoseModel(), 0, factor, RESOLUTIONS[0], number=30))
 
 
 @pytest.mark.sweep
@@ -531,18 +531,18 @@ def test_bounds_are_bounds_in_every_measure_and_table(shared_data, factor):
 @pytest.mark.slow
 def test_bounds_are_bounds_where_cells_are_cut():
     for factor in (0.02, 0.3):
-        assert not any(violations(PoseModel.paper(), 20, factor, Resolution(6, 5, 2)))
+        assert not any(violations(PoseModel(), 20, factor, Resolution(6, 5, 2)))
 
 
 @pytest.mark.slow
 def test_a_bound_two_percent_too_tight_is_caught():
     """Negative control of the tests above: strata made for discs 2 % too small."""
-    assert any(violations(PoseModel.paper(), 0, 0.05, RESOLUTIONS[0], tighten=0.98))
+    assert any(violations(PoseModel(), 0, 0.05, RESOLUTIONS[0], tighten=0.98))
 
 
 def test_strata_are_the_same_however_many_threads_find_them():
     """Bins filled in by parts, or all by the calling thread: the same tables, bit for bit."""
-    model = PoseModel.paper()
+    model = PoseModel()
     limbs, tables = limb_problems(prior_observation(model))["arms"], group_tables(model)["arms"]
     plan = plan_group(tables, limbs, RESOLUTIONS[2])
     (whole, _) = plan_group(tables, limbs, RESOLUTIONS[2], alone=True).strata
@@ -572,7 +572,7 @@ def stratified(model, frame, name, seed) -> StratifiedGroup:
 
 
 def test_same_key_same_draws_and_more_are_added_at_the_end():
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 2)
     one, again, other = (stratified(model, frame, "arms", seed) for seed in (7, 7, 8))
     for sampler in (one, again, other):
@@ -687,7 +687,7 @@ def test_draws_in_discs_are_the_draws_of_the_prior_that_fall_into_them():
     """All of them do, by the program's projection. Against draws made where nothing is seen:
     two-sample Kolmogorov–Smirnov tests of every coordinate, the evidence within 4 standard
     errors."""
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 2, factor=1.0)
     whole = unseen(model, "arms", 0, RESOLUTIONS[0], False)
     assert whole.more(60_000, Budget(10**8))
@@ -709,7 +709,7 @@ def test_draws_in_discs_are_the_draws_of_the_prior_that_fall_into_them():
 @pytest.mark.parametrize("order", [[0, 1], [1, 0]])
 def test_whichever_limb_goes_first_draws_have_the_order_of_their_group(order):
     """By the program's projection, all of them explain the detections of their own sides."""
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 2, factor=1.0)
     sampler = stratified(model, frame, "arms", 1)
     sampler._order = order
@@ -722,7 +722,7 @@ def test_whichever_limb_goes_first_draws_have_the_order_of_their_group(order):
 def test_every_resolution_draws_from_one_law():
     """Energy-distance permutation test of coarse against fine strata, lengths and directions of the
     arms; and the evidence within 3 standard errors."""
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 2)
     found = []
     for level in (0, 1, 3):
@@ -785,7 +785,7 @@ def test_the_first_draws_of_a_batch_are_like_the_last():
     """Attempts are made bin by bin of the lengths, draws handed out in any order: of a batch, the
     first hundred upper arms are as long as the others (Kolmogorov–Smirnov); in the order of their
     lengths they are not."""
-    sampler = unseen(PoseModel.paper(), "arms", 0, RESOLUTIONS[0], False)
+    sampler = unseen(PoseModel(), "arms", 0, RESOLUTIONS[0], False)
     bodies, _ = sampler._batch(0, 3000)
     length = bodies.length[:, 0]
     assert stats.ks_2samp(length[:100], length[100:]).pvalue > FAMILY
@@ -801,7 +801,7 @@ def test_masks_keep_what_they_say():
 def test_a_finer_cut_that_leaves_nothing_is_the_end(monkeypatch):
     """What a coarse cut could not rule out, a finer one may: no attempt is made on an empty plan,
     whose tables have no row to look at."""
-    model = PoseModel.paper()
+    model = PoseModel()
     problems = limb_problems(prior_scene(model, 0).posterior(model, CANDIDATES).observations[0])
     group = StratifiedGroup(key(0), "legs", group_tables(model)["legs"], problems["legs"])
     assert not group.impossible
@@ -813,7 +813,7 @@ def test_a_finer_cut_that_leaves_nothing_is_the_end(monkeypatch):
 
 
 def test_a_frame_that_no_pose_explains_has_no_strata():
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 2)
     keypoints = np.array(frame.detection.keypoints)
     keypoints[4] += 2000.0
@@ -835,7 +835,7 @@ def test_strata_follow_group_rejection_on_all_frames_of_the_benchmark(part):
     energy-distance permutation tests of all coordinates together, Kolmogorov–Smirnov tests of each,
     evidence within 4 standard errors (6e-5 each). False-alarm rate 0.001 for each of the four
     parts."""
-    model, rng = PoseModel.paper(), np.random.default_rng(part)
+    model, rng = PoseModel(), np.random.default_rng(part)
     energies, coordinates = [], []
     for index in range(16 * part, 16 * part + 16):
         frame = prior_scene(model, index, factor=1.0, missing=hidden(index))
@@ -868,7 +868,7 @@ def test_strata_for_discs_too_small_draw_another_law(monkeypatch):
     """Negative control of the test above: strata made for discs of half the size, tested with the
     whole ones. (Two percent are caught by the bounds' own test; no test on draws could see
     them.)"""
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 0, factor=1.0)
     right, wrong = (stratified(model, frame, "arms", seed) for seed in (1, 2))
     wrong._limbs = tuple(problem._replace(reach=problem.reach / 2) for problem in right._limbs)

@@ -31,7 +31,7 @@ SETTINGS = {"num_samples": 40, "k": 3, "keep": 40, "root": "candidates"}
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()
 
 
 @pytest.fixture(scope="module")
@@ -409,7 +409,7 @@ def test_settings_are_compared_to_the_last_bit(name, tmp_path):
     def go(lens=LENS, upright=20.0, factor=0.25):
         estimating = Estimating("dictionary", likelihood=Likelihood(factor=factor))
         sample_frames(
-            PoseModel.paper(lens=lens, upright=upright),
+            PoseModel(lens=lens, upright=upright),
             [Item("a", "nobody")],
             key=key(0),
             out=tmp_path,

@@ -36,7 +36,7 @@ SCALE, PLACE = 100.0, np.array([320.0, 240.0])
 
 @functools.cache
 def model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()
 
 
 def errors_of(law: str, rng: np.random.Generator) -> np.ndarray:

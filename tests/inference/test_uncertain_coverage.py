@@ -49,7 +49,7 @@ ROOTS = 40
 
 @functools.cache
 def model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()
 
 
 @functools.cache

@@ -47,8 +47,8 @@ def faults() -> FaultPrior:
 @functools.cache
 def small_case() -> tuple[PoseModel, Estimate]:
     """Two shoulders, two hips and one arm seen, its wrist moved a little too far."""
-    whole = PoseModel.paper()
-    model = PoseModel.paper(torsos=np.asarray(whole.torsos)[[0, 17, 40]])
+    whole = PoseModel()
+    model = PoseModel(torsos=np.asarray(whole.torsos)[[0, 17, 40]])
     missing = tuple(name for name in JOINTS if name not in (*TORSO, *ARM))
     scene = prior_scene(model, 11, factor=FACTOR, missing=missing)
     keypoints = np.array(scene.detection.keypoints)
@@ -259,12 +259,12 @@ def test_a_learned_law_that_will_not_do_is_refused(changes, words):
 
 def whole_body(seed: int) -> Detection:
     """A person of the prior, all joints detected."""
-    return prior_scene(PoseModel.paper(), seed, factor=0.2, missing=()).detection
+    return prior_scene(PoseModel(), seed, factor=0.2, missing=()).detection
 
 
 def found_faults(detection: Detection, seed: int, num_roots: int = 300) -> tuple[np.ndarray, ...]:
     """Posterior probabilities of outliers `(15,)` and exchanges `(6,)`."""
-    model = PoseModel.paper()
+    model = PoseModel()
     likelihood = Likelihood(factor=0.25, faults=FaultPrior.of(0.05, 0.05))
     frame = dataclasses.replace(
         inference.estimate_torso(detection, torsos=np.asarray(model.torsos)), likelihood=likelihood

@@ -41,7 +41,7 @@ def posterior(
 ) -> Posterior:
     """A torso, without some of its joints, three torsos in the dictionary, and errors so wide that
     discs find roots."""
-    model = PoseModel.paper(torsos=np.asarray(PoseModel.paper().torsos)[[0, 17, 40]])
+    model = PoseModel(torsos=np.asarray(PoseModel().torsos)[[0, 17, 40]])
     frame = prior_scene(model, 11, factor=factor)
     hidden = np.isin(np.arange(NUM_JOINTS), [JOINT_INDEX[name] for name in without])
     detection = dataclasses.replace(

@@ -42,7 +42,7 @@ WRIST = JOINT_INDEX["left_wrist"]
 
 @functools.cache
 def scene(upper="angle", lower="area"):
-    model = PoseModel.paper(upper=upper, lower=lower)
+    model = PoseModel(upper=upper, lower=lower)
     return model, prior_scene(model, 21, factor=0.4, missing=("right_elbow",))
 
 

@@ -62,8 +62,8 @@ MOMENTS = ("log scale", "pelvis x", "chest z", "back z", "elbow z", "wrist x", "
 @functools.cache
 def small_case() -> tuple[PoseModel, Estimate]:
     """Two shoulders, two hips and one arm seen, scores unequal, three torsos in the dictionary."""
-    whole = PoseModel.paper()
-    model = PoseModel.paper(torsos=np.asarray(whole.torsos)[[0, 17, 40]])
+    whole = PoseModel()
+    model = PoseModel(torsos=np.asarray(whole.torsos)[[0, 17, 40]])
     missing = tuple(name for name in JOINTS if name not in SEEN)
     scores = np.linspace(0.6, 1.0, NUM_JOINTS)
     return model, prior_scene(model, 11, factor=FACTOR, missing=missing, scores=scores)
@@ -155,7 +155,7 @@ def test_the_factors_of_the_scale_are_missed():
 def test_a_fixed_root_has_no_belief_of_its_rotation():
     model, frame = small_case()
     with pytest.raises(BadInput, match="a belief that people are upright needs"):
-        frame.posterior(PoseModel.paper(torsos=model.torsos, upright=20.0), CANDIDATES)
+        frame.posterior(PoseModel(torsos=model.torsos, upright=20.0), CANDIDATES)
 
 
 def test_systematic_resampling_is_even():
@@ -227,7 +227,7 @@ def test_a_joint_out_of_reach_is_named_with_its_distance():
     """Under every root that was looked at. The controls: a joint that some of 32 roots bring into
     reach is not named, nor any in poses of the prior, nor where a focal length is known, for which
     there are no bounds."""
-    model = PoseModel.paper()
+    model = PoseModel()
     scene = prior_scene(model, 2)
     far = moved(scene, "right_wrist", (2000.0, 0.0))
     settings = {"key": key(0), "root": "uncertain", "num_roots": 40}
@@ -243,7 +243,7 @@ def test_a_joint_out_of_reach_is_named_with_its_distance():
     for frame in (*within, moved(scene, "right_wrist", (160.0, 0.0))):
         roots = weigh_roots(frame.posterior(model), key=key(0), num_roots=40)
         assert weighted._out_of_reach(roots) is None
-    lens = PoseModel.paper(lens=Lens(1500.0, np.array([320.0, 240.0])))
+    lens = PoseModel(lens=Lens(1500.0, np.array([320.0, 240.0])))
     said = inference.sample(lens, far, **settings).sentence
     assert "whose arms explain their detections; mend or drop one" in said
 
@@ -253,7 +253,7 @@ def test_too_few_roots_are_drawn_anew_as_many_as_would_do():
     """To the bit those of `weigh_roots` of that number, with a key of their own; nothing is drawn
     anew where the first ones do, where no root explains the limbs, where the most that there may be
     would not do, and where the budget would end before."""
-    model = PoseModel.paper()
+    model = PoseModel()
     posterior = moved(prior_scene(model, 2), "right_wrist", (80.0, 0.0)).posterior(model)
     first = weigh_roots(posterior, key=key(3), num_roots=40)
     assert 5 < first.effective < weighted.FEWEST_EFFECTIVE
@@ -286,7 +286,7 @@ def test_too_few_roots_are_drawn_anew_as_many_as_would_do():
 
 
 def test_a_budget_that_ended_says_so():
-    model = PoseModel.paper()
+    model = PoseModel()
     scene = prior_scene(model, 2)
     settings = {"key": key(0), "root": "uncertain", "num_roots": 1000}
     none = inference.sample(model, scene, **settings, max_proposals=1)
@@ -534,7 +534,7 @@ def test_a_root_goes_to_the_side_that_it_faces():
 def test_cells_hold_every_root_that_explains_the_torso():
     """Bounds are bounds; and discs a third smaller, which leave roots out, are found out."""
     _, frame = small_case()
-    posterior = frame.posterior(PoseModel.paper())
+    posterior = frame.posterior(PoseModel())
     torso, rotation, inverse = plain_roots(posterior, 1_000_000, 2)
     assert len(torso) > 500
     problem = torso_problem(posterior, Faults.none()).joints

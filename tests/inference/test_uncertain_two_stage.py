@@ -89,7 +89,7 @@ def test_where_few_have_weight_there_is_more_oversampling() -> None:
 
 def test_more_oversampling_is_by_fewer_draws_of_the_prior() -> None:
     """As much work in all, within a fifth; in whole vectors, or what is read lies outside."""
-    model = PoseModel.paper()
+    model = PoseModel()
     least, most = two_stage.OVERSAMPLING
     for oversampling in range(least, most + 1):
         number = _part_of_pool(model, oversampling).shape[-1]
@@ -106,7 +106,7 @@ def test_every_seed_has_the_same_pool_of_the_prior() -> None:
         made.append(id(model))
         return len(made)
 
-    model, other = PoseModel.paper(), PoseModel.paper()
+    model, other = PoseModel(), PoseModel()
     copy = other.seen_by(Lens(1500.0, np.array([320.0, 240.0])))
     assert [count(one) for one in (model, other, model, other, copy)] == [1, 2, 1, 2, 2]
     gone = weakref.ref(other.cells)
@@ -241,7 +241,7 @@ def test_first_stage_weights_change_no_evidence(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.slow
 def test_more_roots_are_effective(monkeypatch: pytest.MonkeyPatch) -> None:
     """All joints seen: three times as many, for a quarter of the roots' own cost."""
-    model = PoseModel.paper()
+    model = PoseModel()
     posterior = prior_scene(model, 3, factor=0.4).posterior(model)
     two_staged = weigh_roots(posterior, key=key(0), num_roots=200)
     monkeypatch.setattr(two_stage, "OVERSAMPLING", (1, 1))
@@ -257,7 +257,7 @@ def test_sharp_torsos_have_the_evidence_of_exact_ones(monkeypatch: pytest.Monkey
     1.3e-4)."""
     monkeypatch.setattr(torso_proposals, "AMPLE", 0.3)
     monkeypatch.setattr(gaussian, "APPROXIMATE", 0.6)
-    model = PoseModel.paper(torsos=np.asarray(PoseModel.paper().torsos)[[0, 17, 40]])
+    model = PoseModel(torsos=np.asarray(PoseModel().torsos)[[0, 17, 40]])
     frame = prior_scene(model, 11, factor=0.3)
     likelihood = Likelihood(Gaussian(), factor=0.3)
     posterior = dataclasses.replace(frame, likelihood=likelihood).posterior(model)

@@ -111,7 +111,7 @@ def apart(one: dict, other: dict) -> dict[str, float]:
 
 
 def ask(route: str, focal: np.ndarray, number: int = 3000, roots: int = 1000) -> Draws:
-    people = PoseModel.paper(torsos=model().torsos).seen_by(Lens(focal, PRINCIPAL))
+    people = PoseModel(torsos=model().torsos).seen_by(Lens(focal, PRINCIPAL))
     draw = drawer(people, root="uncertain", sampler=route, num_samples=number, num_roots=roots)
     return draw(dataclasses.replace(scene(), likelihood=likelihood(ROW)), key(3))
 
@@ -168,7 +168,7 @@ def test_definitions_move_the_torsos_points() -> None:
     """Against brute force under a lens, each of three torsos with its own; controls: the joints
     themselves, and the same definitions of all torsos."""
     row = Row("uncertain", "", "gaussian", lens=True, bias=True)
-    people = PoseModel.paper(torsos=model().torsos)
+    people = PoseModel(torsos=model().torsos)
     people = people.seen_by(Lens(case(True).lens.focal, case(True).lens.principal))
     draw = drawer(people, root="uncertain", num_samples=3000, num_roots=1000)
     draws = draw(dataclasses.replace(scene(), likelihood=defined()), key(3))
@@ -199,7 +199,7 @@ def test_the_prior_of_an_unknown_focal_length() -> None:
 
 def test_what_is_behind_the_camera_was_not_seen() -> None:
     """A pelvis two body units away, a wrist three body units nearer."""
-    people = PoseModel.paper(torsos=model().torsos).seen_by(Lens(200.0, np.zeros(2)))
+    people = PoseModel(torsos=model().torsos).seen_by(Lens(200.0, np.zeros(2)))
     frame = dataclasses.replace(scene(), likelihood=Likelihood(factor=1.0))
     posterior = frame.posterior(people)
     point = posterior.root_prior.compose(
@@ -222,13 +222,13 @@ def test_what_is_behind_the_camera_was_not_seen() -> None:
 
 
 def test_baselines_need_a_focal_length() -> None:
-    people = PoseModel.paper().seen_by(Lens(FOCAL, PRINCIPAL))
+    people = PoseModel().seen_by(Lens(FOCAL, PRINCIPAL))
     with pytest.raises(BadInput, match="a focal length that is not known has no coordinate"):
         RootedTarget.of(scene().posterior(people))
 
 
 def test_results_say_the_lens(tmp_path) -> None:
-    people = PoseModel.paper(torsos=model().torsos).seen_by(Lens(FOCAL, PRINCIPAL))
+    people = PoseModel(torsos=model().torsos).seen_by(Lens(FOCAL, PRINCIPAL))
     result = inference.sample(people, scene(), key=key(0), num_samples=50, num_roots=60)
     lens = result.tree["posterior"]["lens"].values[0]
     assert set(lens.tolist()) <= {0, 1}

@@ -17,7 +17,7 @@ from tests.scenes import prior_scene
 
 
 def test_the_types_are_those_of_the_engine() -> None:
-    model = PoseModel.paper()
+    model = PoseModel()
     inference.sample(
         model, prior_scene(model, 1), key=jax.random.key(0), num_samples=50, root="candidates"
     )
@@ -104,7 +104,7 @@ from poseterior import inference
 from poseterior.inference.exact.loops import line_of_sight, pairs, seeds, weighted_limbs
 from poseterior.probmodel import PoseModel
 from tests.scenes import prior_scene
-model = PoseModel.paper()
+model = PoseModel()
 scene = prior_scene(model, 1)
 inference.sample(
     model, scene, key=jax.random.key(0), num_samples=50, root="uncertain", num_roots=40

@@ -77,7 +77,7 @@ class Case(NamedTuple):
 
 @functools.cache
 def model(lens: bool) -> PoseModel:
-    whole = PoseModel.paper()
+    whole = PoseModel()
     torsos = np.asarray(whole.torsos)[:3]
     return PoseModel(whole.limits, whole.lengths, torsos, lens=LENS if lens else None)
 

@@ -27,7 +27,7 @@ MISSING = JOINT_INDEX["left_wrist"]
 
 @pytest.fixture(scope="module")
 def model() -> PoseModel:
-    return PoseModel.paper()
+    return PoseModel()
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ SITES = ("bone_length", "upper", "lower")
 @pytest.fixture(scope="module")
 def posterior() -> Posterior:
     """A scene under three roots: the truth, the truth shrunk a little, and one that is far off."""
-    model = PoseModel.paper()
+    model = PoseModel()
     frame = prior_scene(model, 3, factor=1.0)
     (truth,) = frame.candidates
     camera = truth.camera

@@ -45,10 +45,10 @@ LIKELIHOODS = {"disc": Likelihood(factor=0.6), "learned": LEARNED}
 @functools.cache
 def case(law: str, lens: bool = False) -> tuple[Posterior, RootPoint, Pose]:
     """Someone of whom one ankle was not found, and draws, most of which need some fault."""
-    whole = PoseModel.paper()
+    whole = PoseModel()
     camera = Lens(PIXELS, np.full(2, PIXELS)) if lens else None
     model = PoseModel(whole.limits, whole.lengths, np.asarray(whole.torsos)[:5], lens=camera)
-    scene = prior_scene(PoseModel.paper(), 3, factor=0.3, missing=("right_ankle",))
+    scene = prior_scene(PoseModel(), 3, factor=0.3, missing=("right_ankle",))
     keypoints = np.array(scene.detection.keypoints)
     keypoints[JOINT_INDEX["right_wrist"]] += 90.0
     likelihood = dataclasses.replace(LIKELIHOODS[law], faults=FAULTS)

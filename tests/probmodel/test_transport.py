@@ -19,7 +19,7 @@ MEASURES = [("angle", "area"), pytest.param(("area", "box"), marks=pytest.mark.s
 @pytest.fixture(scope="module", params=MEASURES, ids=["eqs. 7 and 8", "area and box"])
 def model(request) -> PoseModel:
     upper, lower = request.param
-    return PoseModel.paper(upper=upper, lower=lower)
+    return PoseModel(upper=upper, lower=lower)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_round_trip_and_support(model) -> None:
 
 @pytest.mark.slow
 def test_shapes() -> None:
-    model = PoseModel.paper()
+    model = PoseModel()
     one, many = (from_cube(model, cube) for cube in (CUBE[0], CUBE[:6].reshape(2, 3, CUBE_DIM)))
     assert [part.shape for part in one] == [(5,), (5, 3), (4, 3)]
     assert [part.shape for part in many] == [(2, 3, 5), (2, 3, 5, 3), (2, 3, 4, 3)]
@@ -61,9 +61,7 @@ def test_ancestral_draws_become_uniform(model, ancestral) -> None:
 def test_a_wrong_measure_is_found_out(model, ancestral) -> None:
     """Negative control: 1,000 draws under one pair of measures are not uniform under the other
     pair."""
-    other = (
-        PoseModel.paper(upper="area", lower="box") if model.upper == "angle" else PoseModel.paper()
-    )
+    other = PoseModel(upper="area", lower="box") if model.upper == "angle" else PoseModel()
     configuration = Pose(ancestral["bone_length"], ancestral["upper"], ancestral["lower"])
     assert uniform_each(jax.jit(to_cube)(other, configuration)).min() < floor(CUBE_DIM)
 

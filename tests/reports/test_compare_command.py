@@ -27,7 +27,7 @@ JSON = Screen(quiet=True, json=True)
 @pytest.fixture(scope="module")
 def detection(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("frames") / "frame.json"
-    write_detections(path, [prior_scene(PoseModel.paper(), 1, missing=ALL_BUT_AN_ARM).detection])
+    write_detections(path, [prior_scene(PoseModel(), 1, missing=ALL_BUT_AN_ARM).detection])
     return path
 
 

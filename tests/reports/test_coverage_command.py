@@ -91,7 +91,7 @@ def test_draws_from_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture) -> 
     found out."""
     coverage.run(asked(tmp_path, simulate_only=True), TABLES)
     tree = read(tmp_path / "simulations.nc")
-    some = simulate(PoseModel.paper(), 0, 0, 100)
+    some = simulate(PoseModel(), 0, 0, 100)
     np.testing.assert_array_equal(tree["truth"].joints[3], some[3].joints)
     np.testing.assert_array_equal(
         tree["observed_data"].keypoints[3], some[3].frame.detection.keypoints
@@ -110,7 +110,7 @@ def test_draws_from_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture) -> 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Poses of the model as a data set."""
-    some = simulate(PoseModel.paper(), 4, 0, 8)
+    some = simulate(PoseModel(), 4, 0, 8)
     poses = np.stack([350 * instance.joints for instance in some])
     keypoints = np.stack([instance.frame.detection.keypoints for instance in some])
     score = np.stack([instance.frame.detection.score for instance in some])

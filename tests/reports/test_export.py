@@ -55,7 +55,7 @@ def stream(example_estimate: Estimate, tmp_path_factory: pytest.TempPathFactory)
     items = [Item(name, example_estimate) for name in names]
     items.insert(2, Item("f1/0", "f1 has no torso; choose another"))
     sample_frames(
-        PoseModel.paper(), items, key=key(0), out=folder, num_samples=30, k=2, root="candidates"
+        PoseModel(), items, key=key(0), out=folder, num_samples=30, k=2, root="candidates"
     )
     return folder
 
@@ -527,7 +527,7 @@ def gap(example_estimate: Estimate, tmp_path_factory: pytest.TempPathFactory) ->
     items = [Item(name, example_estimate) for name in GAP[:-1]]
     items.append(Item(GAP[-1], "nothing is seen"))
     known = {"root": "candidates", "num_samples": 30, "k": 2}
-    sample_frames(PoseModel.paper(), items, key=key(0), out=folder, **known)
+    sample_frames(PoseModel(), items, key=key(0), out=folder, **known)
     return folder
 
 
@@ -631,7 +631,7 @@ def test_names_that_do_not_count_are_taken_in_their_order(
     example_estimate: Estimate, tmp_path: Path, poseterior: Cli
 ) -> None:
     items = [Item(f"{name}/0", example_estimate) for name in ("left", "right", "above")]
-    sample_frames(PoseModel.paper(), items, key=key(0), out=tmp_path / "s", num_samples=30, k=2)
+    sample_frames(PoseModel(), items, key=key(0), out=tmp_path / "s", num_samples=30, k=2)
     assert clip_of(tmp_path / "s").names == ["left", "right", "above"]
     assert clip_of(tmp_path / "s").times == pytest.approx(np.arange(3) / 30)
     run = poseterior("export", tmp_path / "s", "--to", "csv", "--out", tmp_path / "x.csv")

@@ -39,7 +39,7 @@ def stream(example_estimate: Estimate, tmp_path_factory: pytest.TempPathFactory)
         Item("f_8/0", "f_8 has no torso; choose another"),
     ]
     given = {"num_samples": 30, "k": 2, "keep": 25, "root": "candidates"}
-    sample_frames(PoseModel.paper(), items, key=key(0), out=folder, **given)
+    sample_frames(PoseModel(), items, key=key(0), out=folder, **given)
     return folder
 
 

@@ -38,7 +38,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 @pytest.fixture(scope="module")
 def model() -> probmodel.PoseModel:
-    return probmodel.PoseModel.paper()
+    return probmodel.PoseModel()
 
 
 def sampled(model: probmodel.PoseModel, detection: probmodel.Detection) -> Result:

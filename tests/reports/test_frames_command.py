@@ -25,9 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("walk")
     for index in range(3):
         torso = ("thorax", "right_shoulder", "left_shoulder", "pelvis") if index == 1 else ()
-        detection = prior_scene(
-            PoseModel.paper(), index, factor=0.8, missing=(*FEW, *torso)
-        ).detection
+        detection = prior_scene(PoseModel(), index, factor=0.8, missing=(*FEW, *torso)).detection
         write_detections(path / f"frame_{index}.json", [detection])
     return path
 
@@ -76,7 +74,7 @@ def test_a_fragment_of_a_second_person_is_left_out_in_one_line(
     walk = tmp_path / "walk"
     walk.mkdir()
     for index, seed in enumerate((0, 2, 0)):
-        scene = prior_scene(PoseModel.paper(), seed, factor=0.8, missing=FEW).detection
+        scene = prior_scene(PoseModel(), seed, factor=0.8, missing=FEW).detection
         points, score = np.full((15, 2), np.nan), np.zeros(15)
         points[[2, 3]], score[[2, 3]] = [[1.0, 2.0], [3.0, 4.0]], 0.5
         part = Detection(points, score, scene.layout, scene.source, 1)
@@ -95,7 +93,7 @@ def test_a_fragment_of_a_second_person_is_left_out_in_one_line(
 def film(path: Path, names: list[str], *, tracked: bool = True) -> Path:
     """One file, sorted by tracks: somebody in all frames, and a bystander, two metres to the right,
     in all but the last, who comes first in the file."""
-    model = PoseModel.paper()
+    model = PoseModel()
     one, other = (prior_scene(model, seed, factor=0.8, missing=FEW).detection for seed in (0, 2))
     people = []
     for track, person, seen in (("9", other, names[:-1]), ("4", one, names)):

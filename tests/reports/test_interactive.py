@@ -502,7 +502,7 @@ def test_samplers_of_chains_can_be_shown(example_estimate, tmp_path: Path) -> No
     from poseterior.probmodel import PoseModel
 
     result = inference.sample(
-        PoseModel.paper(),
+        PoseModel(),
         example_estimate,
         key=jax.random.key(0),
         num_samples=40,

@@ -35,7 +35,7 @@ def stream(example_estimate: Estimate, tmp_path_factory: pytest.TempPathFactory)
     items = [Item(f"f_{frame}/{who}", example_estimate) for frame in (4, 2) for who in (0, 1)]
     items.append(Item("f_1/0", "f_1 has no torso; choose another"))
     given = {"num_samples": 30, "k": 2, "keep": 20, "root": "candidates"}
-    sample_frames(PoseModel.paper(), items, key=key(0), out=folder, **given)
+    sample_frames(PoseModel(), items, key=key(0), out=folder, **given)
     return folder
 
 
@@ -129,7 +129,7 @@ def test_a_stream_is_asked_whose_and_for_its_draws(
     assert "(on the command line --person)" in done.err
     given = {"num_samples": 10, "k": 1, "root": "candidates"}
     items = [Item("f/0", example_estimate)]
-    sample_frames(PoseModel.paper(), items, key=key(0), out=tmp_path / "bare", **given)
+    sample_frames(PoseModel(), items, key=key(0), out=tmp_path / "bare", **given)
     done = poseterior("measure", str(tmp_path / "bare"), "--out", str(tmp_path / "a.csv"))
     assert done.code == 2
     assert "--keep" in done.err

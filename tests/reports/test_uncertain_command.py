@@ -9,6 +9,7 @@ import xarray as xr
 
 from poseterior.inference.draws import OUT_OF_BUDGET
 from poseterior.inference.saved import read_result
+from poseterior.probmodel.anatomy.limits import EMBEDDED
 from poseterior.probmodel.example import example
 from poseterior.reports.cli import COMMANDS, declared
 from poseterior.reports.options import PROGRAMS, PersonOrSession, Prior, RootKind, Viewing
@@ -80,31 +81,25 @@ def test_composed_hypotheses_come_where_programs_are_kept(
     assert poseterior("check", out / "hypotheses.json", "--quiet").code == 0
 
 
-def test_an_uncertain_root_believes_wide_limits(poseterior: Cli, folder: Path) -> None:
-    """Which results say, so that `check` knows; the control: default limits exclude some draws."""
-    if not (folder / "posterior.nc").exists():
-        poseterior("hypotheses", EXAMPLE, "--out", folder, *UNCERTAIN, "--roots", 200)
-    for file in (folder / "posterior.nc", folder / "hypotheses.json"):
+def test_results_say_under_which_limits_they_were_drawn(poseterior: Cli, tmp_path: Path) -> None:
+    """So that `check` knows; the control: the usual limits exclude some of the wide ones' draws."""
+    said = ("--out", tmp_path, *UNCERTAIN, "--roots", 200, "--limits", "wide")
+    poseterior("hypotheses", EXAMPLE, *said)
+    for file in (tmp_path / "posterior.nc", tmp_path / "hypotheses.json"):
         said = poseterior("check", file, "--quiet").out
         assert "are possible (limits wide)" in said
         possible, whole = said.split(" poses in")[0].splitlines()[-1].split(" of ")
         assert possible == whole
-    narrow = poseterior("check", folder / "posterior.nc", "--limits", "default", "--quiet").out
+    narrow = poseterior("check", tmp_path / "posterior.nc", "--limits", "default", "--quiet").out
     assert "are possible (limits default)" in narrow
     assert "400 of 400" not in narrow
 
 
-@pytest.mark.parametrize(
-    ("root", "limits", "name"),
-    [
-        (RootKind.fixed, None, "default"),
-        (RootKind.uncertain, None, "wide"),
-        (RootKind.uncertain, "default", "default"),
-        (RootKind.fixed, "wide", "wide"),
-    ],
-)
-def test_what_is_said_of_limits_counts(root: RootKind, limits: str | None, name: str) -> None:
-    assert Viewing(root=root).model(Prior(limits=limits)).limits.name == name
+@pytest.mark.parametrize("root", RootKind)
+@pytest.mark.parametrize("limits", EMBEDDED)
+def test_what_is_said_of_limits_counts(root: RootKind, limits: str) -> None:
+    assert Viewing(root=root).model(Prior(limits=limits)).limits.name == limits
+    assert Viewing(root=root).model(Prior()).limits.name == "default"
 
 
 def test_the_page_shows_every_hypothesis_by_its_own_camera(poseterior: Cli, folder: Path) -> None:

@@ -50,7 +50,7 @@ class Definitions(NamedTuple):
 def body_axes(data: DataSet) -> np.ndarray:
     """`(N, 3, 3)`: what turns the camera's axes into those of each person's torso."""
     torso = data.corrected(data.poses)[:, list(TORSO_INDEX)]
-    return align_torsos(torso, mean_torso(Anatomy.embedded("wide").torsos))
+    return align_torsos(torso, mean_torso(Anatomy.default().torsos))
 
 
 def definitions_of_data(data: DataSet) -> Definitions:
@@ -132,7 +132,7 @@ def definitions_of_session(session: Session) -> Definitions:
             f"{session.name} has {whole.sum()} frames with both shoulders and both hips, and"
             f" definitions need {FEWEST_FRAMES}; give more frames"
         )
-    torsos = np.asarray(Anatomy.embedded("wide").torsos)
+    torsos = np.asarray(Anatomy.default().torsos)
     own = torsos[:, [TORSO_INDEX.index(joint) for joint in GIRDLES]]
     offsets = best_torso(points[whole], own)
 

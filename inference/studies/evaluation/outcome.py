@@ -68,8 +68,6 @@ class Protocol:
         Draws, the budget for them, and how many hypotheses are chosen among them.
     num_roots
         From how many roots draws are made where the root is uncertain.
-    rooted_anatomy
-        What is believed where the root is uncertain; by default the same.
     upright
         What is believed of how bodies are turned where the root is uncertain
         (`probmodel.rotations.UprightRotation`).
@@ -88,7 +86,6 @@ class Protocol:
     max_proposals: int = 20_000_000
     seed: int = 0
     num_roots: int = MANY_ROOTS
-    rooted_anatomy: Anatomy | None = None
     upright: float = 0.0
     composed: bool = False
 
@@ -112,10 +109,7 @@ class Protocol:
     def rooted(self) -> PoseModel:
         """The model where the root is a part of the posterior."""
         return PoseModel.from_anatomy(
-            self.rooted_anatomy or self.anatomy,
-            upper=self.upper,
-            lower=self.lower,
-            upright=self.upright,
+            self.anatomy, upper=self.upper, lower=self.lower, upright=self.upright
         )
 
     def sampler(self, root: str) -> DetectionSampler:

@@ -145,18 +145,12 @@ def _blocks(data: DataSet, conditions: Sequence[Condition]) -> Iterator[Block]:
 
 def settings(data: DataSet, protocol: Protocol) -> dict[str, Any]:
     """What makes one run's numbers comparable with another's."""
-    rooted = (protocol.rooted_anatomy or protocol.anatomy).limits
     return {
         "study": "evaluation",
         "data set": f"{data.name} {data.sha256}",
         "frames": len(data),
         "block": FRAMES_PER_BLOCK,
         "limits": f"{protocol.anatomy.limits.name} {protocol.anatomy.limits.sha256}",
-        **(
-            {"limits under an uncertain root": f"{rooted.name} {rooted.sha256}"}
-            if rooted.sha256 != protocol.anatomy.limits.sha256
-            else {}
-        ),
         "measures": f"upper {protocol.upper}, lower {protocol.lower}",
         "pose dictionaries": protocol.dictionary.sha256,
         "candidates": protocol.candidates,

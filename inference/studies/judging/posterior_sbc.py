@@ -2,7 +2,7 @@
 (Säilynoja, Schmitt, Bürkner & Vehtari 2025, arXiv 2502.03279).
 
     found = posterior_sbc(program, {"y": y})          # a NumPyro model, by NUTS
-    found = posterior_sbc(PoseModel.paper(), detection)     # a sampler of poses (`seen_again`)
+    found = posterior_sbc(PoseModel(), detection)     # a sampler of poses (`seen_again`)
 
 Draws of the posterior take the place of the prior's: each is a truth, data are simulated of it once
 more, and its rank among draws of the posterior of both data is uniform if the sampler is right

@@ -64,7 +64,9 @@ TURNED, TILTED = 180.0, 20.0
 OFF = (0.0, 60.0, 120.0, np.inf)
 """Millimetres by which joints are detected off, about the shoulders."""
 EMBEDDED_LAW, OTHER_HALF, OTHER_DETECTOR = "embedded", "other half", "other detector"
-UNKNOWN, WEAK = "unknown", "weak"
+UNKNOWN, WEAK, CUT_OUT = "unknown", "weak", "unknown, cut out"
+MARGIN = 1.3
+"""Of a person's keypoints, the longer side of the image that was cut out around them."""
 
 
 class Line(NamedTuple):
@@ -210,12 +212,21 @@ def judged(
     for seed, (view, law) in enumerate(zip(views, laws, strict=True)):
         model = models.get(view.person, embedded)
         view = view._replace(detection=_known(view.detection, law))
-        seen_by, likelihood = model.seen_by(view.believed(camera)), Likelihood.of(law)
+        seen_by, likelihood = model.seen_by(believed(view, camera)), Likelihood.of(law)
         given = view, units[view.person], seen_by, likelihood, seed
         levels = person_views.judge(*given, STRANGER_DRAWS, STRANGER_ROOTS)
         found.append({middle: [part.tolist() for part in one] for middle, one in levels.items()})
         print(name, seed, flush=True)
     return found
+
+
+def believed(view: PersonView, camera: str) -> Lens | None:
+    """What is believed of the camera; of an image that was cut out, that it is a whole one."""
+    if camera != CUT_OUT:
+        return view.believed(camera)
+    points = view.detection.keypoints
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    return Lens.unknown(MARGIN * float(np.max(high - low)), (low + high) / 2)
 
 
 def _known(seen: Detection, law: DetectorErrors) -> Detection:
@@ -277,6 +288,7 @@ def simulated(data: Path, work: Path, law: DetectorErrors) -> Judging:
     lines = {
         (EMBEDDED_LAW, UNKNOWN): embedded,
         (EMBEDDED_LAW, WEAK): embedded,
+        (EMBEDDED_LAW, CUT_OUT): embedded,
         ("its own", UNKNOWN): law,
     }
     return Judging(

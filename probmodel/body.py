@@ -9,6 +9,10 @@ import numpy as np
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.skeleton import BONES, JOINTS, LIMB_JOINTS, MIRROR, PARENTS, TORSO_INDEX
 
+MILLIMETRES = 350.0
+"""One body unit of a person of 1.7 m: upper arm, forearm, thigh and shank are 0.186, 0.146, 0.245
+and 0.246 of the stature (Drillis & Contini, Body segment parameters, 1966), on average 0.206 ·
+1700 mm."""
 _MIRROR_TORSO = [TORSO_INDEX.index(MIRROR[joint]) for joint in TORSO_INDEX]
 _SIDEWAYS = np.array([-1.0, 1.0, 1.0])
 

@@ -6,24 +6,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from poseterior.probmodel import Detection, PoseModel
-from poseterior.probmodel.camera import FOCAL_MEDIAN
+from poseterior.probmodel.distance import nearest
 from poseterior.probmodel.layouts import MEDIAPIPE_33
-from poseterior.probmodel.skeleton import BONES
-from poseterior.reports.options import Detected, Person
-from poseterior.reports.tables.posterior import MILLIMETRES
+from poseterior.reports.options import FAR_ENOUGH, Detected, Person, Viewing
 
 MOST_PEOPLE = 8
 """People of a file by whom its reading is judged, evenly spread, the one that is shown among
 them."""
 
-FAR_ENOUGH = 4.0
-"""Metres to the camera: nearer, intervals under weak perspective are too narrow
-(reports/strangers.md)."""
 ODD_FOCAL = 1.25
 """So many times as long, or as short, as the photo says, a focal length is doubted: EXIF is in
 whole millimetres, and calibrations differ from it by some per cent."""
-STRAY_BONES = 2
-"""Bones, the longest in the image, that say nothing of the distance: keypoints may be wrong."""
 
 
 def about_the_image(person: Detection, image: np.ndarray | None) -> list[str]:
@@ -71,45 +64,32 @@ def about_the_size(people: Sequence[Detection], detected: Detected, model: PoseM
     return [SENTENCES["size"]] if "size" in noticed else []
 
 
-def farthest(person: Detection, size: tuple[int, int], model: PoseModel) -> float:
-    """Metres at which a person of 1.7 m stands at most before a usual camera: where a bone would
-    be as long as any and turned its whole length to the camera. NaN where too few are seen."""
-    _, longest, *_ = model.lengths
-    seen = np.array([person.keypoints[bone.end] - person.keypoints[bone.start] for bone in BONES])
-    own = np.array([longest[bone.length_group] for bone in BONES])
-    scales = np.sort(np.linalg.norm(seen, axis=1) / own)  # pixels; NaN comes last
-    known = scales[np.isfinite(scales)]
-    if len(known) <= STRAY_BONES:
-        return np.nan
-    return MILLIMETRES / 1000 * FOCAL_MEDIAN * max(size) / float(known[-1 - STRAY_BONES])
-
-
 def about_the_camera(
     people: Sequence[Detection],
     size: tuple[int, int] | None,
     model: PoseModel,
+    viewing: Viewing,
     exif: float | None = None,
 ) -> list[str]:
-    """Whether the focal length is another than the photo's EXIF says, pixels; or whether people
-    stand too near for the weak perspective that the model believes in, if the image's size is
-    known: by the user, since files may be of people who were cut out."""
-    if model.lens is not None:
+    """Whether the focal length that was given is another than the photo's EXIF says, pixels; where
+    torso and camera are uncertain, too, whether people stand near the camera, and what is therefore
+    drawn, or ought to be."""
+    if viewing.focal is not None and model.lens is not None:
         return _about_the_focal_length(float(np.median(model.lens.focal)), model.lens.number, exif)
-    if size is None:
+    metres = nearest(people, size, model.lengths)
+    if metres >= FAR_ENOUGH or not viewing.rooted:
         return []
-    metres = [farthest(person, size, model) for person in people]
-    known = [one for one in metres if np.isfinite(one)]
-    if not known or np.median(known) >= FAR_ENOUGH:
-        return []
+    near = (
+        f"a usual camera took this image, if it is a whole one, within {metres:.1f} m of somebody,"
+        " where perspective is strong"
+    )
+    known = "in pixels" if exif is None else f"in pixels or exif ({exif:.0f} pixels)"
+    if model.lens is None:
+        return [f"{near} and intervals without it are too narrow: give --focal, {known} or unknown"]
     return [
-        f"if this image is a whole one, a usual camera took it within {np.median(known):.1f} m of a"
-        " person, where perspective is strong and intervals without it are too narrow: give"
-        f" --focal, {_known(exif)}"
+        f"{near}: the focal length is drawn with the rest; give --focal where you know it, {known},"
+        " or weak, to leave perspective out"
     ]
-
-
-def _known(exif: float | None) -> str:
-    return "in pixels or unknown" if exif is None else f"in pixels or exif ({exif:.0f} pixels)"
 
 
 def _about_the_focal_length(focal: float, number: int, exif: float | None) -> list[str]:
@@ -121,12 +101,13 @@ def _about_the_focal_length(focal: float, number: int, exif: float | None) -> li
     ]
 
 
-def about(given: Person, model: PoseModel) -> list[str]:
-    """All doubts about the image of one person of a file. Raises `BadInput` on a bad file."""
+def about(given: Person, model: PoseModel, viewing: Viewing) -> list[str]:
+    """All doubts about the image of one person of a file, by a camera of which this is
+    believed. Raises `BadInput` on a bad file."""
     person, detected = given.detection, given.detected
     people = [person, *others(given.people, person)]
     return [
         *about_the_image(person, detected.photo),
         *about_the_size(people, detected, model),
-        *about_the_camera([person], detected.size, model, detected.photo_focal),
+        *about_the_camera([person], given.size, model, viewing, detected.photo_focal),
     ]

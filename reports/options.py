@@ -24,6 +24,8 @@ from poseterior.reports import configuration, console
 from poseterior.reports.fields import option
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
 
     from poseterior.inference import Estimating
@@ -573,6 +575,9 @@ class CameraKind(enum.StrEnum):
 
 EXIF = "exif"
 """What `--focal` says where the photo says it."""
+FAR_ENOUGH = 4.0
+"""Metres to the camera: nearer, intervals under weak perspective are too narrow, and farther off
+they are as good as any (reports/strangers.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -617,10 +622,11 @@ class Viewing(Rooting):
     focal: str | None = option(
         None,
         "Focal length of the camera in pixels of the image; exif, where the photo says it"
-        " (--image); or unknown: one of a few that cameras have, drawn with the rest (--root"
-        " uncertain).",
-        metavar="PIXELS|exif|unknown",
-        show_default="weak perspective",
+        " (--image); unknown: one of a few that cameras have, drawn with the rest (--root"
+        " uncertain); or weak, for weak perspective.",
+        metavar="PIXELS|exif|unknown|weak",
+        show_default="unknown where the image's size says that people are within"
+        f" {FAR_ENOUGH:g} m, else weak",
     )
     principal: str | None = option(
         None,
@@ -629,35 +635,45 @@ class Viewing(Rooting):
         show_default="the image's centre",
     )
 
-    def model(
-        self, prior: Prior, size: tuple[int, int] | None = None, exif: float | None = None
+    def model_seeing(
+        self,
+        prior: Prior,
+        people: "Sequence[Detection]",
+        size: tuple[int, int] | None,
+        exif: float | None = None,
     ) -> "PoseModel":
-        """As `Rooting.model`, for an image of this width and height and with this focal length in
-        its EXIF, if they are known. Raises `BadInput` also on a camera that cannot be, or whose
-        optical axis nobody knows."""
-        lens = self._lens(size, exif)
-        return prior.model(upright=concentration(self.upright), lens=lens)
+        """As `model`, before the camera of images of this width and height and with this focal
+        length in their EXIF, if they are known, in which these people were seen. Raises `BadInput`
+        also on a camera that cannot be, or whose optical axis nobody knows."""
+        from poseterior.probmodel.distance import nearest
+
+        model = self.model(prior)
+        near = self.rooted and nearest(people, size, model.lengths) < FAR_ENOUGH
+        camera = CameraKind.unknown if near else CameraKind.weak
+        return model.seen_by(self._lens(self.focal or camera, size, exif))
 
     def model_of(self, prior: Prior, person: Person) -> "PoseModel":
-        """As `model`, for the image of a person."""
-        return self.model(prior, person.size, person.detected.photo_focal)
+        """As `model_seeing`, for the image of a person."""
+        return self.model_seeing(
+            prior, [person.detection], person.size, person.detected.photo_focal
+        )
 
-    def _lens(self, size: tuple[int, int] | None, exif: float | None) -> "Lens | None":
+    def _lens(self, said: str, size: tuple[int, int] | None, exif: float | None) -> "Lens | None":
         import numpy as np
 
         from poseterior.probmodel.camera import Lens
 
-        if self.focal is None:
-            if self.principal is not None:
-                raise BadInput("--principal says nothing without a focal length; give --focal too")
+        if self.principal is not None and (self.focal is None or said == CameraKind.weak):
+            raise BadInput("--principal says nothing without a focal length; give --focal too")
+        if said == CameraKind.weak:
             return None
-        if self.focal == EXIF and exif is None:
+        if said == EXIF and exif is None:
             raise BadInput(
                 "--focal exif needs a photo (--image) whose EXIF says FocalLengthIn35mmFilm, which"
                 " many programs leave out; give pixels, or --focal unknown"
             )
-        unknown = self.focal == CameraKind.unknown
-        focal = None if unknown else exif if self.focal == EXIF else parse_focal(self.focal)
+        unknown = said == CameraKind.unknown
+        focal = None if unknown else exif if said == EXIF else parse_focal(said)
         if size is None and focal is None:
             raise BadInput(
                 "--focal unknown needs the size of the image, by which cameras' focal lengths are"
@@ -740,7 +756,8 @@ def parse_focal(text: str) -> float:
         return float(text)
     except ValueError:
         raise BadInput(
-            f"--focal must be pixels of the image, such as 1650, exif or unknown, not {text!r}"
+            f"--focal must be pixels of the image, such as 1650, exif, unknown or weak, not"
+            f" {text!r}"
         ) from None
 
 

@@ -46,11 +46,11 @@ def draw(
     if settings.is_session:
         return [], _draw_session(settings, out, screen)
     with console.progress("limits and torsos", screen.quiet):
-        model = settings.rooting.model(settings.prior, settings.size)
-        first = _first_people(settings)
+        first, size, viewing = _first_people(settings), settings.size, settings.rooting
+        model = viewing.model_seeing(settings.prior, first, size)
         warnings = [
             *doubts.about_the_size(first, settings.detected, model),
-            *doubts.about_the_camera(first, settings.detected.size, model),
+            *doubts.about_the_camera(first, size, model, viewing),
         ]
     estimating = settings.estimation.estimating(model)
     person = settings.person

@@ -33,7 +33,7 @@ def run(settings: SampleSettings, screen: Screen) -> None:
     with console.progress("torso and camera", screen.quiet):
         model = settings.rooting.model_of(settings.prior, settings.person)
         frame = settings.estimation.estimate(settings.person.detection, model)
-        warnings = doubts.about(settings.person, model)
+        warnings = doubts.about(settings.person, model, settings.rooting)
     with console.progress(_task(settings), screen.quiet) as step:
         result = sample_to_file(
             out,

@@ -15,6 +15,7 @@ from poseterior.inference.draws import COMPLETE
 from poseterior.inference.hypothesis import Hypothesis
 from poseterior.inference.measured import measure_intervals, measures
 from poseterior.inference.results import Result
+from poseterior.probmodel.body import MILLIMETRES
 from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
 from poseterior.reports.figures.colours import LIMB_OF, hypothesis_colours
@@ -22,7 +23,6 @@ from poseterior.reports.figures.window import Window, cropped, window_of
 from poseterior.reports.interactive.page import assemble, packed, rounded
 from poseterior.reports.tables.measures import measures_table
 from poseterior.reports.tables.posterior import (
-    MILLIMETRES,
     candidates_table,
     facing_sentences,
     heaviest,

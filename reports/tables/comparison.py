@@ -11,9 +11,9 @@ sliced Wasserstein distance falls below 0.1 standard deviations.
 
 import xarray as xr
 
-from poseterior.inference.studies.comparison.distances import MILLIMETRES
 from poseterior.inference.studies.comparison.judge import AGREES, UNMIXED
 from poseterior.inference.studies.comparison.mixing import CHAINS_APART
+from poseterior.probmodel.body import MILLIMETRES
 from poseterior.reports.tables.sheet import (
     NOTHING,
     Column,

@@ -8,8 +8,9 @@ import numpy as np
 import xarray as xr
 
 from poseterior.inference.stream import frame_and_person
+from poseterior.probmodel.body import MILLIMETRES
 from poseterior.probmodel.skeleton import BONES, JOINTS
-from poseterior.reports.tables.posterior import MILLIMETRES, UNIT_NOTE
+from poseterior.reports.tables.posterior import UNIT_NOTE
 from poseterior.reports.tables.sheet import NOTHING, Column, Sheet, fixed, number
 from poseterior.reports.tables.words import spoken
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from poseterior.probmodel.body import MILLIMETRES
 from poseterior.probmodel.errors.faults import EXCHANGES
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, TORSO_INDEX
@@ -33,10 +34,6 @@ if TYPE_CHECKING:
     from poseterior.inference.hypothesis import Hypothesis
     from poseterior.inference.results import Result
 
-MILLIMETRES = 350.0
-"""One body unit, the mean limb length, of a person of 1.7 m: upper arm, forearm, thigh and shank
-are 0.186, 0.146, 0.245 and 0.246 of the stature (Drillis & Contini, Body segment parameters, 1966),
-on average 0.206 · 1700 mm."""
 UNIT_NOTE = f"1 body unit = mean limb length, about {MILLIMETRES:.0f} mm for a person of 1.7 m"
 STILL = 1e-9
 """Body units within which nothing moves: rounding, not spread."""

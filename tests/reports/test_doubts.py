@@ -9,12 +9,14 @@ import pytest
 from PIL import ExifTags, Image
 
 from poseterior.probmodel import Detection, Lens, PoseModel
+from poseterior.probmodel.body import MILLIMETRES
 from poseterior.probmodel.camera import FOCAL_MEDIAN
+from poseterior.probmodel.distance import farthest
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.skeleton import BONES, NUM_JOINTS
-from poseterior.reports.doubts import FAR_ENOUGH, MILLIMETRES, about_the_camera, farthest
+from poseterior.reports.doubts import about_the_camera
 from poseterior.reports.figures.files import photo_focal
-from poseterior.reports.options import Prior, Viewing
+from poseterior.reports.options import FAR_ENOUGH, Prior, RootKind, Viewing
 
 SIZE = (1080, 1920)
 
@@ -40,9 +42,9 @@ def person(model: PoseModel, metres: float, turned: float = 0.0) -> Detection:
 @pytest.mark.parametrize("metres", [1.0, 2.5, 8.0])
 def test_the_farthest_is_never_nearer_than_the_person(model: PoseModel, metres: float) -> None:
     """And hardly farther, where bones lie across the image: by what lengths of people vary."""
-    assert metres < farthest(person(model, metres), SIZE, model) < 1.3 * metres
-    turned = farthest(person(model, metres, turned=60), SIZE, model)
-    assert turned == pytest.approx(2 * farthest(person(model, metres), SIZE, model))
+    assert metres < farthest(person(model, metres), SIZE, model.lengths) < 1.3 * metres
+    turned = farthest(person(model, metres, turned=60), SIZE, model.lengths)
+    assert turned == pytest.approx(2 * farthest(person(model, metres), SIZE, model.lengths))
 
 
 def test_two_wrong_keypoints_say_nothing(model: PoseModel) -> None:
@@ -51,18 +53,45 @@ def test_two_wrong_keypoints_say_nothing(model: PoseModel) -> None:
     for bone in [bone for bone in BONES if bone.name.endswith("forearm")][:2]:
         wrong[bone.end] += 900.0
     stray = dataclasses.replace(seen, keypoints=wrong)
-    assert farthest(stray, SIZE, model) > FAR_ENOUGH
+    assert farthest(stray, SIZE, model.lengths) > FAR_ENOUGH
 
 
-def test_a_near_camera_is_spoken_of(model: PoseModel) -> None:
+SEEN_BY = [
+    ("uncertain", None, 1.5, SIZE, 5, "the focal length is drawn with the rest"),
+    ("uncertain", None, 8.0, SIZE, 0, None),
+    ("uncertain", None, 1.5, None, 0, None),
+    ("uncertain", "weak", 1.5, SIZE, 0, "intervals without it are too narrow: give --focal"),
+    ("uncertain", "unknown", 8.0, SIZE, 5, None),
+    ("uncertain", "1000", 1.5, SIZE, 1, None),
+    ("fixed", None, 1.5, SIZE, 0, None),
+]
+"""Root, `--focal`, metres to a person, size of the image; of how many focal lengths one is drawn
+(0: weak perspective), and what is said."""
+
+
+@pytest.mark.parametrize(("root", "focal", "metres", "size", "number", "said"), SEEN_BY)
+def test_the_camera_is_unknown_where_people_are_near(
+    model: PoseModel,
+    root: str,
+    focal: str | None,
+    metres: float,
+    size: tuple[int, int] | None,
+    number: int,
+    said: str | None,
+) -> None:
+    people = [person(model, metres)]
+    viewing = Viewing(root=RootKind(root), focal=focal)
+    seen_by = viewing.model_seeing(Prior(), people, size)
+    assert (0 if seen_by.lens is None else seen_by.lens.number) == number
+    sentences = about_the_camera(people, size, seen_by, viewing)
+    assert [said is not None and said in one for one in sentences] == [True] * (said is not None)
+    assert all("within 1.8 m" in sentence for sentence in sentences)
+
+
+def test_one_person_says_whether_the_camera_is_near(model: PoseModel) -> None:
     near, far = person(model, 1.5), person(model, 8.0)
-    (sentence,) = about_the_camera([near], SIZE, model)
-    assert "within 1.8 m" in sentence
-    assert "--focal" in sentence
-    assert about_the_camera([far], SIZE, model) == []
-    assert about_the_camera([near, far, far], SIZE, model) == []
-    assert about_the_camera([near], None, model) == []
-    assert about_the_camera([near], SIZE, model.seen_by(Lens(1000.0, np.array(SIZE) / 2))) == []
+    assert Viewing().model_seeing(Prior(), [far, near, far], SIZE).lens is not None
+    assert Viewing().model_seeing(Prior(), [far, far], SIZE).lens is None
 
 
 def test_who_is_hardly_seen_is_not_judged(model: PoseModel) -> None:
@@ -71,8 +100,8 @@ def test_who_is_hardly_seen_is_not_judged(model: PoseModel) -> None:
     score[:4] = 1.0
     keypoints = np.where(score[:, None] > 0, seen.keypoints, np.nan)
     hidden = dataclasses.replace(seen, keypoints=keypoints, score=score)
-    assert np.isnan(farthest(hidden, SIZE, model))
-    assert about_the_camera([hidden], SIZE, model) == []
+    assert np.isnan(farthest(hidden, SIZE, model.lengths))
+    assert Viewing().model_seeing(Prior(), [hidden], SIZE).lens is None
 
 
 def photo(folder: Path, says: object, orientation: int = 1) -> Path:
@@ -98,20 +127,21 @@ def test_a_photo_that_says_none(tmp_path: Path, says: object) -> None:
 
 
 def test_the_lens_of_a_photo(model: PoseModel) -> None:
-    lens = Viewing(focal="exif")._lens((600, 400), 500.0)
+    lens = Viewing(focal="exif").model_seeing(Prior(), [], (600, 400), 500.0).lens
     assert lens is not None
     assert (float(lens.focal), lens.principal.tolist()) == (500.0, [300.0, 200.0])
     with pytest.raises(BadInput, match="whose EXIF says FocalLengthIn35mmFilm"):
-        Viewing(focal="exif").model(Prior(), (600, 400))
+        Viewing(focal="exif").model_seeing(Prior(), [], (600, 400))
 
 
 def test_another_focal_length_than_the_photos_is_doubted(model: PoseModel) -> None:
     near, middle = [person(model, 1.5)], np.array(SIZE) / 2
     for focal, doubted in ((1000.0, False), (1200.0, False), (1300.0, True), (700.0, True)):
-        said = about_the_camera(near, SIZE, model.seen_by(Lens(focal, middle)), 1000.0)
+        seen_by, viewing = model.seen_by(Lens(focal, middle)), Viewing(focal=str(focal))
+        said = about_the_camera(near, SIZE, seen_by, viewing, 1000.0)
         assert bool(said) == doubted
         assert all("1000 pixels, not" in sentence for sentence in said)
     unknown = model.seen_by(Lens.unknown(3000.0, middle))
-    assert about_the_camera(near, SIZE, unknown, 1000.0) == []
-    (sentence,) = about_the_camera(near, SIZE, model, 1000.0)
+    assert about_the_camera(near, SIZE, unknown, Viewing(focal="unknown"), 1000.0) == []
+    (sentence,) = about_the_camera(near, SIZE, model, Viewing(focal="weak"), 1000.0)
     assert "in pixels or exif (1000 pixels)" in sentence

@@ -124,6 +124,7 @@ OF_THEIR_OWN = {
     "result": {"export"},  # hypotheses.json too
     "draws": {"export"},  # how many; elsewhere a file of them
     "poses": {"learn"},  # the file that the others read is written
+    "limits": {"check"},  # those that poses were drawn under
     "layout": {"detect"},  # of a network, which has to say it
     "threshold": {"detect"},  # a network's scores are its heatmaps' means
     # Studies of many poses: lists of what is compared, and less work for each of them.

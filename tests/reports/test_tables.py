@@ -17,6 +17,7 @@ from poseterior.inference.results import Result
 from poseterior.inference.studies.evaluation.relations import Relation
 from poseterior.inference.studies.evaluation.scores import Interval
 from poseterior.probmodel.anatomy.limits import AnatomicalLimits, Check
+from poseterior.probmodel.body import MILLIMETRES
 from poseterior.probmodel.skeleton import BONE_NAMES, JOINT_INDEX, JOINTS, NUM_JOINTS
 from poseterior.reports import tables
 from poseterior.reports.tables import posterior
@@ -141,7 +142,7 @@ def test_posterior_rows_by_hand(tree: xr.DataTree) -> None:
     assert knee["radius_px"] == 7, "of the heaviest candidate"
     assert knee["depth_sd"] == pytest.approx(1)
     assert knee["lateral_sd"] == pytest.approx(math.sqrt((0.3**2 + 0.4**2) / 2))
-    assert knee["depth_sd_mm"] == pytest.approx(tables.MILLIMETRES)
+    assert knee["depth_sd_mm"] == pytest.approx(MILLIMETRES)
     assert rows["right_wrist"] == rows["right_wrist"] | {
         "seen": False,
         "score": None,
@@ -178,7 +179,7 @@ def test_a_torso_that_is_held_fixed_says_so() -> None:
 
 def test_body_unit_in_millimetres_is_the_mean_limb_of_a_person_of_170_cm() -> None:
     shares = (0.186, 0.146, 0.245, 0.246)
-    assert pytest.approx(1700 * np.mean(shares), abs=0.5) == tables.MILLIMETRES
+    assert pytest.approx(1700 * np.mean(shares), abs=0.5) == MILLIMETRES
 
 
 def test_without_draws_there_are_no_deviations(tree: xr.DataTree) -> None:

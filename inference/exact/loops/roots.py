@@ -33,7 +33,7 @@ TILTS = 12
 WIDTH = math.pi / TILTS
 EDGES = np.cos(np.arange(TILTS + 1) * WIDTH)
 """Cosines of the tilts between cells."""
-MOST_CELLS = 1 << 17
+MOST_CELLS = 1 << 18
 """Cells that there is room for at first: enough for most torsos."""
 
 
@@ -105,25 +105,17 @@ def _cells_left(joints: TorsoJoints, most: int) -> tuple[np.ndarray, np.ndarray,
 def _find_cells(joints: TorsoJoints, code: np.ndarray, low: np.ndarray, high: np.ndarray) -> int:
     """Writes the cells that are left, as far as there is room; returns how many they
     are."""
-    torsos = joints.torsos
     count = 0
-    seen = np.empty((joints.reach.size, 3))  # the joints before the roll
-    chord = 2 * math.sin(WIDTH / 4)  # of half a cell
-    for torso in range(len(torsos)):
+    number = joints.reach.size
+    pairs = np.empty((number * (number - 1) // 2, 2))
+    seen = np.empty((number, 3))
+    for torso in range(len(joints.torsos)):
+        _measure_pairs(joints, torso, pairs)
         for yaw in range(2 * TILTS):
-            cos_yaw = math.cos((yaw + 0.5) * WIDTH)
-            sin_yaw = math.sin((yaw + 0.5) * WIDTH)
             for tilt in range(TILTS):
-                cosine = math.cos((tilt + 0.5) * WIDTH)
-                sine = math.sin((tilt + 0.5) * WIDTH)
-                for joint in range(len(seen)):
-                    x, y, z = point_of(torsos, torso, joint)
-                    ahead = cos_yaw * x - sin_yaw * y
-                    seen[joint, 0] = cosine * ahead + sine * z
-                    seen[joint, 1] = sin_yaw * x + cos_yaw * y
-                    seen[joint, 2] = cosine * z - sine * ahead
+                _turn_but_roll(joints.torsos, torso, yaw, tilt, seen)
                 for roll in range(2 * TILTS):
-                    least, most = _inverse_scales(joints, torso, seen, roll, chord)
+                    least, most = _inverse_scales(joints, pairs, seen, roll)
                     if least < most:
                         if count < code.size:
                             cell = (yaw * TILTS + tilt) * 2 * TILTS + roll
@@ -134,32 +126,70 @@ def _find_cells(joints: TorsoJoints, code: np.ndarray, low: np.ndarray, high: np
     return count
 
 
-@compiled
+@inlined
+def _turn_but_roll(torsos: np.ndarray, torso: int, yaw: int, tilt: int, seen: np.ndarray) -> None:
+    """Writes where the joints of a torso lie before the roll, `(n, 3)`."""
+    cos_yaw = math.cos((yaw + 0.5) * WIDTH)
+    sin_yaw = math.sin((yaw + 0.5) * WIDTH)
+    cosine = math.cos((tilt + 0.5) * WIDTH)
+    sine = math.sin((tilt + 0.5) * WIDTH)
+    for joint in range(len(seen)):
+        x, y, z = point_of(torsos, torso, joint)
+        ahead = cos_yaw * x - sin_yaw * y
+        seen[joint, 0] = cosine * ahead + sine * z
+        seen[joint, 1] = sin_yaw * x + cos_yaw * y
+        seen[joint, 2] = cosine * z - sine * ahead
+
+
+@inlined
+def _measure_pairs(joints: TorsoJoints, torso: int, pairs: np.ndarray) -> None:
+    """Writes of all pairs of joints, `(n (n - 1) / 2, 2)`, how far they lie apart; and how
+    far, at most, their images move against each other because their lines of sight run
+    to the side, if their depths change by their distance from the pelvis and from each
+    other."""
+    ray = joints.ray
+    pair = 0
+    for one in range(joints.reach.size):
+        side = math.sqrt(ray[one, 0] ** 2 + ray[one, 1] ** 2)
+        first = point_of(joints.torsos, torso, one)
+        for two in range(one):
+            point = point_of(joints.torsos, torso, two)
+            apart = 0.0
+            for axis in range(3):
+                apart += (first[axis] - point[axis]) ** 2
+            apart = math.sqrt(apart)
+            x = ray[one, 0] - ray[two, 0]
+            y = ray[one, 1] - ray[two, 1]
+            pairs[pair, 0] = apart
+            pairs[pair, 1] = side * apart + math.sqrt((x * x + y * y) * dot(point, point))
+            pair += 1
+
+
+@inlined
 def _inverse_scales(
-    joints: TorsoJoints, torso: int, seen: np.ndarray, roll: int, chord: float
+    joints: TorsoJoints, pairs: np.ndarray, seen: np.ndarray, roll: int
 ) -> tuple[float, float]:
-    """The range of the inverse scale that all pairs of joints leave, for a torso whose
+    """The range of the inverse scale that all `pairs` of joints leave, for a torso whose
     joints lie at `seen` `(n, 3)` before the roll; empty where the first is not below
     the second."""
     cosine = math.cos((roll + 0.5) * WIDTH)
     sine = math.sin((roll + 0.5) * WIDTH)
+    chord = 2 * math.sin(WIDTH / 4)  # of half a cell
     least = 0.0
     most = 1.0
-    torsos = joints.torsos
     keypoints = joints.keypoints
     bias = joints.bias
     ray = joints.ray
+    pair = -1
     for one in range(len(seen)):
         for two in range(one):
+            pair += 1
             x = seen[one, 0] - seen[two, 0]
             y = seen[one, 1] - seen[two, 1]
             u = keypoints[one, 0] - keypoints[two, 0]
             v = keypoints[one, 1] - keypoints[two, 1]
-            length = 0.0
-            for axis in range(3):
-                length += (torsos[torso, one, axis] - torsos[torso, two, axis]) ** 2
-            slack = chord * (math.sqrt(x * x + y * y) + 2 * math.sqrt(length)) + SLACK
-            slack += 2 * chord * _ray_slack(joints, torso, one, two, math.sqrt(length))
+            slack = chord * (math.sqrt(x * x + y * y) + 2 * pairs[pair, 0]) + SLACK
+            slack += 2 * chord * pairs[pair, 1]
             far = joints.reach[one] + joints.reach[two] + slack
             across = cosine * x - sine * y + bias[one, 0] - bias[two, 0]
             down = sine * x + cosine * y + bias[one, 1] - bias[two, 1]
@@ -180,19 +210,6 @@ def _inverse_scales(
                 if least >= most:
                     return 1.0, 0.0
     return least, most
-
-
-@inlined
-def _ray_slack(joints: TorsoJoints, torso: int, one: int, two: int, apart: float) -> float:
-    """How far, at most, the images of two joints that lie `apart` move against each
-    other because their lines of sight run to the side, if their depths change by their
-    distance from the pelvis and from each other."""
-    ray = joints.ray
-    x = ray[one, 0] - ray[two, 0]
-    y = ray[one, 1] - ray[two, 1]
-    point = point_of(joints.torsos, torso, two)
-    side = math.sqrt(ray[one, 0] ** 2 + ray[one, 1] ** 2)
-    return side * apart + math.sqrt((x * x + y * y) * dot(point, point))
 
 
 @inlined

@@ -9,9 +9,6 @@ from scipy.spatial.distance import cdist
 
 from poseterior.inference.studies.comparison.mixing import CONSTANT
 
-MILLIMETRES = 350.0
-"""One body unit, the mean limb length, of a person of 1.7 m: 0.206 of the stature (Drillis &
-Contini 1966)."""
 DIRECTIONS = 100
 MOST_PROJECTED = 20_000
 """Draws of either side in a sliced Wasserstein distance at most, taken evenly."""

@@ -17,7 +17,6 @@ import numpy as np
 from scipy import stats
 
 from poseterior.inference.studies.comparison.distances import (
-    MILLIMETRES,
     sliced_wasserstein,
     wasserstein,
 )
@@ -32,6 +31,7 @@ from poseterior.inference.studies.comparison.power import SmallestSeen, seen
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate
 from poseterior.inference.studies.comparison.sample import NAMES, Sample
 from poseterior.inference.studies.intervals import permuted
+from poseterior.probmodel.body import MILLIMETRES
 
 JUDGE_LEVEL = 0.01
 """Chance that a sampler without fault is said to differ."""

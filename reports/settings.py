@@ -816,7 +816,7 @@ class CoverageSettings:
     missing: int = option(0, "Limb joints that are not seen.", min=0, rich_help_panel=REAL)
     perspective: KnownLenses = False
     camera: CameraKind = option(
-        CameraKind.weak,
+        CameraKind.unknown,
         "What is believed of the cameras of views of people (an .npz with detection and truth).",
         rich_help_panel=REAL,
     )

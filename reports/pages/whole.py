@@ -3,18 +3,26 @@ reports/whole.md.
 
     python -m poseterior.reports.pages.whole work
 
-A thousand simulations from the model itself, about half an hour on one core; `work` keeps what
-is done, and a run that was stopped goes on there.
+A thousand simulations from the model itself before each camera, about half an hour on one core for
+each; `work` keeps what is done, and a run that was stopped goes on there.
 """
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import jax
 import numpy as np
 import xarray as xr
 
+from poseterior.inference.sampler import WEIGHTED
 from poseterior.inference.studies.calibration import calibrate, judge
+from poseterior.inference.studies.calibration.assess import Answer
+from poseterior.inference.studies.calibration.posteriors import Sampler, independent_roots
 from poseterior.inference.studies.calibration.quantities import OF_ROOT
-from poseterior.probmodel import PoseModel
+from poseterior.inference.studies.calibration.simulations import FAR, NEAR, Instance
+from poseterior.inference.studies.calibration.verdict import Calibration
+from poseterior.probmodel import Lens, PoseModel
+from poseterior.probmodel.body import MILLIMETRES
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.reports.figures.coverage import ranks_figure
 from poseterior.reports.pages.page import Page, Values, Work, run
@@ -22,54 +30,85 @@ from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.coverage import families_table, p_text
 from poseterior.reports.tables.words import spoken
 
-WHOLE_SIMULATIONS = 1000
+WHOLE_SIMULATIONS, CONTROLS = 1000, 200
 WHOLE_ROOTS, WHOLE_DRAWS, WHOLE_SEED = 300, 400, 7
 WHOLE_BUDGET = 30_000_000
 """Most proposals for a simulation."""
+METRES = MILLIMETRES / 1000
+"""Of a body unit."""
+LENS = Lens.unknown(1920.0, np.array([960.0, 540.0]))
+WEAK, UNKNOWN, BLIND = "weak perspective", "focal length unknown", "unknown, believed weak"
 
 
-def simulated(work: Path) -> xr.Dataset:
+def blind(index: int, instance: Instance, key: jax.Array) -> Answer:
+    """The control: draws under weak perspective of what a lens saw, which are then said to be of
+    its middle focal length."""
+    draw = independent_roots(PoseModel(), WHOLE_DRAWS, WHOLE_ROOTS, max_proposals=WHOLE_BUDGET)
+    answer = draw(index, instance, key)
+    assert answer.points is not None
+    middle = np.full(len(answer.joints), LENS.number // 2)
+    return answer._replace(points=answer.points._replace(lens=middle))
+
+
+WAYS: dict[str, tuple[Callable[[], PoseModel], str | Sampler, int]] = {
+    WEAK: (PoseModel, WEIGHTED, WHOLE_SIMULATIONS),
+    UNKNOWN: (lambda: PoseModel(lens=LENS), WEIGHTED, WHOLE_SIMULATIONS),
+    BLIND: (lambda: PoseModel(lens=LENS), blind, CONTROLS),
+}
+"""The model, who draws, and how many simulations, by what is believed of the camera."""
+
+
+def simulated(work: Path, way: str) -> xr.Dataset:
     """The simulations by weighted roots."""
+    model, sampler, number = WAYS[way]
     tree = calibrate(
-        PoseModel(),
+        model(),
+        sampler,
         seed=WHOLE_SEED,
-        num_simulations=WHOLE_SIMULATIONS,
+        num_simulations=number,
         num_samples=WHOLE_DRAWS,
         root=UNCERTAIN,
         num_roots=WHOLE_ROOTS,
         max_proposals=WHOLE_BUDGET,
-        out=work / "coverage.nc",
+        out=work / f"{way.replace(', ', '-').replace(' ', '-')}.nc",
     )
     return tree["simulation"].to_dataset()
 
 
-def roots_table(tests: xr.Dataset) -> Sheet:
-    """The tests of what a root is made of: p-values, and those corrected for all questions."""
-    asked = [name for name in OF_ROOT if name in tests.quantity.values]
+def roots_table(verdicts: Mapping[str, Calibration]) -> Sheet:
+    """The tests of what a root is made of: p-values, in brackets those corrected for all
+    questions."""
+    asked = [name for name in OF_ROOT if name in verdicts[WEAK].tests.quantity.values]
     rows = []
     for name in asked:
-        one = tests.sel(quantity=name)
-        p_values = (p_text(float(one[kind])) for kind in ("p_value", "adjusted"))
-        rows.append((spoken(name), *p_values))
-    return sheet_of(("of the root", "p", "p, corrected for all"), rows)
+        ones = [verdict.tests.sel(quantity=name) for verdict in verdicts.values()]
+        texts = (f"{p_text(float(one.p_value))} ({p_text(float(one.adjusted))})" for one in ones)
+        rows.append((spoken(name), *texts))
+    return sheet_of(("of the root, p", *verdicts), rows)
 
 
 def main(work: Work) -> Page:
     """Does what is left of the simulations, then writes the page."""
-    right = simulated(work)
-    verdict = judge(right)
-    number = right.num_draws.values
+    found = {way: simulated(work, way) for way in WAYS}
+    verdicts = {way: judge(simulation) for way, simulation in found.items()}
+    numbers = {way: found[way].num_draws.values for way in (WEAK, UNKNOWN)}
+    sentences = [f"- *{way}*: {one.verdict}: {one.sentence}." for way, one in verdicts.items()]
     values: Values = {
         "simulations": f"{WHOLE_SIMULATIONS:,}",
+        "controls": CONTROLS,
         "roots": WHOLE_ROOTS,
         "draws": WHOLE_DRAWS,
-        "fewest": int(number.min()),
-        "middle": int(np.median(number)),
-        "sentence": f"{verdict.verdict}: {verdict.sentence}",
-        "families": families_table({"weighted roots": verdict}),
-        "of_root": roots_table(verdict.tests),
+        "fewest": min(int(number.min()) for number in numbers.values()),
+        "middle": int(np.median(numbers[WEAK])),
+        "middle_unknown": int(np.median(numbers[UNKNOWN])),
+        "near": f"{METRES * NEAR:.0f}",
+        "far": f"{METRES * FAR:.0f}",
+        "sentences": "\n".join(sentences),
+        "families": families_table(verdicts),
+        "of_root": roots_table({way: verdicts[way] for way in numbers}),
     }
-    return Page("whole", values, {"whole": ranks_figure(right)})
+    pictures = {"whole": ranks_figure(found[WEAK]), "whole-unknown": ranks_figure(found[UNKNOWN])}
+    return Page("whole", values, pictures)
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ from poseterior.inference.studies.levels import (
 )
 from poseterior.inference.studies.measured import MeasureStandings, no_standings, standings_of
 from poseterior.probmodel.anatomy.limits import AnatomicalLimits
+from poseterior.probmodel.camera import Perspective
 from poseterior.probmodel.datasets.cases import strays
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
@@ -137,7 +138,7 @@ def assess(
         values = of_both(model, instance.frame.observation, both)
         level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
     elif model is not None and posterior.points is not None:
-        points = _with_truth(instance.frame.best, posterior.points)
+        points = _with_truth(instance.frame.best, posterior.points, model)
         values = of_rooted(instance.frame.posterior(model), points, both)
         level.update(zip(OF_MODEL, rank_level(values[0], values[1:], rng), strict=True))
         values = of_root(points)
@@ -173,11 +174,15 @@ def _nearest(limits: AnatomicalLimits, joints: np.ndarray) -> float:
     return float(np.median(np.nanmin(limits.margin(joints), axis=1)))
 
 
-def _with_truth(candidate: Candidate, points: RootPoint) -> RootPoint:
+def _with_truth(candidate: Candidate, points: RootPoint, model: PoseModel) -> RootPoint:
     """The true root before those of the draws."""
-    camera = candidate.camera
+    camera, lens = candidate.camera, None
     log_scale = np.log(float(camera.scale))
-    truth = RootPoint(candidate.torso_index, camera.rotation, log_scale, camera.translation)
+    if points.lens is not None:
+        assert isinstance(camera, Perspective)
+        assert model.lens is not None
+        lens = int(np.argmin(np.abs(np.asarray(model.lens.focal) - camera.lens.focal)))
+    truth = RootPoint(candidate.torso_index, camera.rotation, log_scale, camera.translation, lens)
     return jax.tree.map(
         lambda one, rest: np.concatenate([np.asarray(one)[None], rest]), truth, points
     )

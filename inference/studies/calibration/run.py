@@ -12,6 +12,7 @@ Every simulation has a seed of its own: a run that was stopped is resumed with t
 is a longer one. With `out`, what was done is kept in blocks beside that file
 (`inference.store.Store`)."""
 
+import functools
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ from poseterior.inference.results import provenance, save_tree
 from poseterior.inference.sampler import MAKERS, MANY_ROOTS, WEIGHTED
 from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.inference.studies.calibration import real
-from poseterior.inference.studies.calibration.assess import Standing, assess
+from poseterior.inference.studies.calibration.assess import Answer, Standing, assess
 from poseterior.inference.studies.calibration.exclusions import exclusions
 from poseterior.inference.studies.calibration.posteriors import (
     FromFile,
@@ -48,6 +49,7 @@ from poseterior.inference.studies.calibration.record import (
 from poseterior.inference.studies.calibration.simulations import (
     SIMULATIONS_PER_BLOCK,
     Instance,
+    Window,
     simulate,
 )
 from poseterior.probmodel.anatomy.limits import AnatomicalLimits
@@ -128,6 +130,8 @@ def calibrate(
         draw = independent_roots(model, num_samples, num_roots, max_proposals=max_proposals)
     else:
         draw = _sampler(sampler, model, num_samples, max_proposals, root, num_roots)
+    if model.lens is not None:
+        draw = functools.partial(_within, Window.of(model.lens), draw)
     settings = {
         **_asked(sampler, draw),
         **_common(model, seed, num_samples, likelihood, max_proposals),
@@ -366,6 +370,17 @@ def _sampler(
             sampler, model, number, max_proposals=budget, root=root, num_roots=num_roots
         )
     return sampler
+
+
+def _within(
+    window: Window, draw: Sampler, index: int, instance: Instance, key: jax.Array
+) -> Answer:
+    """Of a posterior's draws those in the window in which the truth was drawn."""
+    answer = draw(index, instance, key)
+    if answer.points is None:
+        return answer
+    held = window.holds(answer.points)
+    return answer._replace(joints=answer.joints[held], points=answer.points.take(held))
 
 
 def _rooted(root: str, num_roots: int) -> dict[str, Any]:

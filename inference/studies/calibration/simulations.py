@@ -7,7 +7,8 @@ holds torso and camera fixed they say nothing of the limbs, so that any law of t
 Where the root is uncertain it has to come from its prior: torso uniform, rotation by Haar's
 measure, or upright as the model believes. From flat priors of log scale and translation nothing can
 be drawn; but the posterior moves and grows with the image (docs/model.md § 9), so any fixed
-scale and place will do for questions whose answers do the same.
+scale and place will do for questions whose answers do the same. Perspective does not: before a lens
+both are drawn from a window (`Window`), and the posterior is asked given that they lie in it.
 """
 
 import dataclasses
@@ -19,15 +20,16 @@ import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from poseterior.probmodel.camera import WeakPerspective
+from poseterior.probmodel.camera import Lens, Perspective, WeakPerspective
 from poseterior.probmodel.chunks import in_chunks
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.errors.faults import ORDERS, FaultPrior
 from poseterior.probmodel.errors.likelihood import PAPER, Likelihood
+from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.root_priors import CANDIDATES, UNCERTAIN
-from poseterior.probmodel.roots import Candidate
+from poseterior.probmodel.roots import Candidate, RootPoint
 from poseterior.probmodel.rotations import UprightRotation
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS, TORSO_INDEX
 from poseterior.probmodel.transport import CUBE_DIM, from_cube
@@ -35,6 +37,9 @@ from poseterior.probmodel.transport import CUBE_DIM, from_cube
 FACING_UPRIGHT = np.diag([1.0, -1.0, -1.0])
 """Turns axes (left, up, forward) into the camera's, the person facing the camera."""
 SCALE, IMAGE_CENTRE = 100.0, np.array([320.0, 240.0])
+NEAR, FAR, ASIDE = 3.0, 20.0, 0.2
+"""Body units to people before a lens: at least, before the shortest of its focal lengths, and at
+most, before the longest; and their places beside the optical axis at most, in focal lengths."""
 TILT = 30.0
 """Degrees up and down from which the camera looks."""
 LEAST_SCORE = 0.5
@@ -66,6 +71,50 @@ Spread = Callable[[np.ndarray, Likelihood], np.ndarray]
 """Scores `(15,)` and a likelihood → the spread `(15,)` of each joint's error, body units."""
 
 
+class Window(NamedTuple):
+    """Where simulated people are seen by a lens: the prior, which is flat in the logarithm of the
+    scale and in the place, is drawn within it.
+
+    Attributes
+    ----------
+    low, high : `(3,)`
+        Least and greatest log scale and translation.
+    lens
+        Before which.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    lens: Lens
+
+    @classmethod
+    def of(cls, lens: Lens) -> "Window":
+        """That of a lens. Raises `BadInput` where its focal lengths lie too far apart for one."""
+        focal, middle = np.atleast_1d(lens.focal), np.asarray(lens.principal)
+        scale = np.log([np.max(focal) / FAR, np.min(focal) / NEAR])
+        if scale[0] >= scale[1]:
+            raise BadInput(
+                f"focal lengths that differ by {np.max(focal) / np.min(focal):.3g} times cannot be"
+                f" simulated together; give some that differ by less than {FAR / NEAR:g}"
+            )
+        aside = ASIDE * np.median(focal)
+        low, high = np.append(scale[0], middle - aside), np.append(scale[1], middle + aside)
+        return cls(low, high, lens)
+
+    def draw(self, rng: np.random.Generator, rotation: np.ndarray) -> Perspective:
+        """A camera of the prior."""
+        several = self.lens.number > 1
+        own = self.lens.at(int(rng.integers(self.lens.number)) if several else None)
+        log_scale, *place = rng.uniform(self.low, self.high)
+        weak = WeakPerspective(float(np.exp(log_scale)), rotation, np.array(place))
+        return Perspective(weak, Lens(float(own.focal), np.asarray(own.principal)))
+
+    def holds(self, points: RootPoint) -> np.ndarray:
+        """`(n,)`: whether roots `(n, ...)` lie in it."""
+        root = np.column_stack([points.log_scale, points.translation])
+        return np.all((self.low <= root) & (root <= self.high), axis=1)
+
+
 class Instance(NamedTuple):
     """What is seen of a person, and the truth behind it: the pose `joints` `(15, 3)`, pelvis at the
     origin, camera axes, in the body units of the frame's first candidate; `doubt` `(15, 15, 3, 3)`,
@@ -95,9 +144,13 @@ def simulate(
     joints = in_chunks(functools.partial(_poses, model), cubes, torsos, size=SIMULATIONS_PER_BLOCK)
     people = len(model.torsos) if root == UNCERTAIN else 1
     definitions = likelihood.definitions(people)
+    window = None if model.lens is None else Window.of(model.lens)
     some = []
     for row, (rng, index, torso) in enumerate(zip(rngs, indices, torsos, strict=True)):
-        camera = WeakPerspective(SCALE, ROTATIONS[root](rng, model), IMAGE_CENTRE)
+        rotation = ROTATIONS[root](rng, model)
+        camera: WeakPerspective | Perspective = WeakPerspective(SCALE, rotation, IMAGE_CENTRE)
+        if window is not None:
+            camera = window.draw(rng, rotation)
         missing = HIDDEN[(first + row) % len(HIDDEN)]
         candidate = Candidate(index, torso, camera, 0.0)
         pose = joints[row]
@@ -124,14 +177,13 @@ def _instance(
     score = rng.uniform(LEAST_SCORE, 1.0, NUM_JOINTS)
     score[[JOINT_INDEX[name] for name in missing]] = 0.0
     exact = np.asarray(camera.project(points))
-    strays = SCALE * spread(score, likelihood)
-    detection = detected(exact, score, strays, likelihood, rng)
+    joints = np.asarray(camera.view(pose))
+    unit = float(camera.scale) * np.asarray(camera.magnification(joints))
+    biased = exact + unit[:, None] * likelihood.bias
+    detection = detected(biased, score, unit * spread(score, likelihood), likelihood, rng)
     if likelihood.faults.any:
-        detection = faulty(detection, exact, likelihood.faults, rng)
-    return Instance(
-        Estimate(detection, (candidate,), likelihood, estimator="truth"),
-        np.asarray(camera.view(pose)),
-    )
+        detection = faulty(detection, exact, unit, likelihood.faults, rng)
+    return Instance(Estimate(detection, (candidate,), likelihood, estimator="truth"), joints)
 
 
 def _spread(score: np.ndarray, likelihood: Likelihood, joints: Sequence[int]) -> np.ndarray:
@@ -176,17 +228,23 @@ def detected(
 
 
 def faulty(
-    detection: Detection, exact: np.ndarray, prior: FaultPrior, rng: np.random.Generator
+    detection: Detection,
+    exact: np.ndarray,
+    unit: np.ndarray,
+    prior: FaultPrior,
+    rng: np.random.Generator,
 ) -> Detection:
     """The detection with a pattern of faults of the prior: an exchanged keypoint strays from the
-    other joint's projection as far as it strayed from its own, an outlier anywhere within reach."""
+    other joint's projection as far as it strayed from its own, an outlier anywhere within reach;
+    both as large as at the joint's depth, where a body unit has `unit` `(15,)` pixels."""
     seen = detection.score > 0
     key = jax.random.key(int(rng.integers(2**32)))
     faults = jax.tree.map(np.asarray, prior.draw(seen, key))
-    about = exact[ORDERS[faults.exchange]]
-    far = SCALE * prior.reach * np.sqrt(rng.uniform(size=NUM_JOINTS))
+    order = ORDERS[faults.exchange]
+    far = unit[order] * prior.reach * np.sqrt(rng.uniform(size=NUM_JOINTS))
     angle = rng.uniform(0, 2 * np.pi, NUM_JOINTS)
     astray = far[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    off = np.where(faults.outlier[:, None], astray, detection.keypoints - exact)
-    keypoints = np.where(seen[:, None], about + off, np.nan)
+    near = (detection.keypoints - exact) * (unit[order] / unit)[:, None]
+    off = np.where(faults.outlier[:, None], astray, near)
+    keypoints = np.where(seen[:, None], exact[order] + off, np.nan)
     return dataclasses.replace(detection, keypoints=keypoints)

@@ -28,9 +28,9 @@ from poseterior.inference.studies.calibration.quantities import (
     of_rooted,
 )
 from poseterior.inference.studies.calibration.real import by_the_likelihood
-from poseterior.inference.studies.calibration.simulations import Instance
+from poseterior.inference.studies.calibration.simulations import Instance, Window
 from poseterior.inference.studies.calibration.verdict import MISCALIBRATED
-from poseterior.probmodel import BadInput, Likelihood, PoseModel
+from poseterior.probmodel import BadInput, DetectorErrors, Gaussian, Lens, Likelihood, PoseModel
 from poseterior.probmodel.datasets import Case
 from poseterior.probmodel.errors.faults import (
     EXCHANGES,
@@ -87,6 +87,55 @@ def test_simulated_roots_are_draws_of_their_prior() -> None:
     upright = [one.frame.candidates[0].camera.rotation for one in simulate(model(), 0, 0, 100)]
     control = stats.kstest([turn[1, 1] for turn in upright], "uniform", (-1, 2))
     assert control.pvalue < 1e-9
+
+
+LENS = Lens.unknown(1920.0, np.array([960.0, 540.0]))
+
+
+def test_simulated_people_are_seen_in_the_window_of_a_lens() -> None:
+    """Log scales and places are uniform in it, and every focal length comes; four tests at 1e-3 in
+    all. Control: scales themselves are not uniform."""
+    cameras = [
+        one.frame.candidates[0].camera
+        for one in simulate(PoseModel(lens=LENS), 1, 0, 400, root="uncertain")
+    ]
+    window = Window.of(LENS)
+    scale = np.array([float(camera.scale) for camera in cameras])
+    place = np.array([camera.translation for camera in cameras])
+    for column, low, high in zip([np.log(scale), *place.T], window.low, window.high, strict=True):
+        assert stats.kstest(column, "uniform", (low, high - low)).pvalue > 1e-3 / 4
+    low, high = np.exp(window.low[0]), np.exp(window.high[0])
+    assert stats.kstest(scale, "uniform", (low, high - low)).pvalue < 1e-3
+    focal = np.array([float(camera.lens.focal) for camera in cameras])
+    counts = [np.sum(np.isclose(focal, one)) for one in np.asarray(LENS.focal)]
+    assert sum(counts) == len(focal)
+    assert stats.chisquare(counts).pvalue > 1e-3 / 4
+
+
+def test_focal_lengths_too_far_apart_have_no_window() -> None:
+    with pytest.raises(BadInput, match="differ by 10 times cannot be simulated together"):
+        Window.of(Lens(np.array([100.0, 1000.0]), np.zeros(2)))
+
+
+@pytest.mark.parametrize("lens", [None, LENS])
+def test_simulated_errors_are_as_large_as_at_the_joint(lens: Lens | None) -> None:
+    """What remains beside the bias of a law ends where the law does. Controls: without the bias,
+    and before a lens without the size at the joint, some is beyond."""
+    sigma, inlier = np.full(NUM_JOINTS, 0.05), np.ones(NUM_JOINTS)
+    bias = np.tile([0.3, -0.2], (NUM_JOINTS, 1))
+    likelihood = Likelihood.of(DetectorErrors(Gaussian(), sigma, inlier, bias))
+    far = 2 * sigma * Gaussian.reach
+    within, unbiased, flat = [], [], []
+    for one in simulate(PoseModel(lens=lens), 2, 0, 40, likelihood=likelihood, root="uncertain"):
+        camera, seen = one.frame.candidates[0].camera, one.frame.detection.seen
+        unit = float(camera.scale) * np.asarray(camera.magnification(one.joints))
+        off = one.frame.detection.keypoints - np.asarray(camera.image(one.joints))
+        within.append((np.linalg.norm(off / unit[:, None] - bias, axis=1) / far)[seen])
+        unbiased.append((np.linalg.norm(off / unit[:, None], axis=1) / far)[seen])
+        flat.append((np.linalg.norm(off / float(camera.scale) - bias, axis=1) / far)[seen])
+    assert 0.9 < np.max(np.concatenate(within)) <= 1 + 1e-9
+    assert np.max(np.concatenate(unbiased)) > 1
+    assert lens is None or np.max(np.concatenate(flat)) > 1
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -641,22 +641,26 @@ class Viewing(Rooting):
         people: "Sequence[Detection]",
         size: tuple[int, int] | None,
         exif: float | None = None,
+        samplers: Iterable[str] = ROUTES,
     ) -> "PoseModel":
         """As `model`, before the camera of images of this width and height and with this focal
-        length in their EXIF, if they are known, in which these people were seen. Raises `BadInput`
-        also on a camera that cannot be, or whose optical axis nobody knows."""
+        length in their EXIF, if they are known, in which these people were seen; for `samplers`,
+        not all of which can draw a focal length. Raises `BadInput` also on a camera that cannot be,
+        or whose optical axis nobody knows."""
         from poseterior.probmodel.distance import nearest
 
         model = self.model(prior)
-        near = self.rooted and nearest(people, size, model.lengths) < FAR_ENOUGH
+        drawn = self.rooted and {*samplers} <= {*ROUTES}
+        near = drawn and nearest(people, size, model.lengths) < FAR_ENOUGH
         camera = CameraKind.unknown if near else CameraKind.weak
         return model.seen_by(self._lens(self.focal or camera, size, exif))
 
-    def model_of(self, prior: Prior, person: Person) -> "PoseModel":
+    def model_of(
+        self, prior: Prior, person: Person, samplers: Iterable[str] = ROUTES
+    ) -> "PoseModel":
         """As `model_seeing`, for the image of a person."""
-        return self.model_seeing(
-            prior, [person.detection], person.size, person.detected.photo_focal
-        )
+        people, size, exif = [person.detection], person.size, person.detected.photo_focal
+        return self.model_seeing(prior, people, size, exif, samplers)
 
     def _lens(self, said: str, size: tuple[int, int] | None, exif: float | None) -> "Lens | None":
         import numpy as np

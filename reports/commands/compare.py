@@ -2,7 +2,7 @@
 picture."""
 
 from poseterior.probmodel.failures import BadInput
-from poseterior.reports import console
+from poseterior.reports import console, doubts
 from poseterior.reports.options import ROUTES, Screen
 from poseterior.reports.settings import CONTESTANTS, CompareSettings
 
@@ -29,8 +29,9 @@ def run(settings: CompareSettings, screen: Screen) -> None:
     check(samplers)
     out = console.output_folder(settings.out)
     with console.progress("torso and camera", screen.quiet):
-        model = settings.rooting.model_of(settings.prior, settings.person)
+        model = settings.rooting.model_of(settings.prior, settings.person, samplers)
         frame = settings.estimation.estimate(settings.person.detection, model)
+        warnings = doubts.about(settings.person, model, settings.rooting)
     kept = ", runs" if {*samplers} & {*BASELINES} else ""
     found = routes.compare(
         model,
@@ -56,3 +57,5 @@ def run(settings: CompareSettings, screen: Screen) -> None:
         *(f"{entry.label}: {entry.sentence}" for entry in found.entries),
         f"Written to {out}: comparison.nc, comparison.png{kept}",
     )
+    for sentence in warnings:
+        console.warn(sentence)

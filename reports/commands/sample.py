@@ -15,8 +15,7 @@ NUM_HYPOTHESES = 5
 """On the page, which stand for the draws."""
 
 
-def _task(settings: SampleSettings) -> str:
-    sampler = sampler_of(settings.rooting.root.prior, settings.sampler).name
+def _task(settings: SampleSettings, sampler: str) -> str:
     weighed = settings.rooting.rooted and sampler in ROUTES
     return "roots and their limbs" if weighed else f"draws by {sampler}"
 
@@ -30,11 +29,12 @@ def run(settings: SampleSettings, screen: Screen) -> None:
     page = console.output_file(out.with_suffix(".html"))
     if page == out:
         raise BadInput(f"{out} is the name of the page; give --out a name that ends in .nc")
+    sampler = sampler_of(settings.rooting.root.prior, settings.sampler).name
     with console.progress("torso and camera", screen.quiet):
-        model = settings.rooting.model_of(settings.prior, settings.person)
+        model = settings.rooting.model_of(settings.prior, settings.person, [sampler])
         frame = settings.estimation.estimate(settings.person.detection, model)
         warnings = doubts.about(settings.person, model, settings.rooting)
-    with console.progress(_task(settings), screen.quiet) as step:
+    with console.progress(_task(settings, sampler), screen.quiet) as step:
         result = sample_to_file(
             out,
             model,

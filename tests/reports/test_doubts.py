@@ -88,6 +88,16 @@ def test_the_camera_is_unknown_where_people_are_near(
     assert all("within 1.8 m" in sentence for sentence in sentences)
 
 
+def test_samplers_that_cannot_draw_a_focal_length_get_none(model: PoseModel) -> None:
+    near = [person(model, 1.5)], SIZE, None
+    for samplers, drawn in (
+        (["weighted-roots", "rejection"], True),
+        (["rejection", "emcee"], False),
+    ):
+        seen_by = Viewing().model_seeing(Prior(), *near, samplers)
+        assert (seen_by.lens is not None) == drawn
+
+
 def test_one_person_says_whether_the_camera_is_near(model: PoseModel) -> None:
     near, far = person(model, 1.5), person(model, 8.0)
     assert Viewing().model_seeing(Prior(), [far, near, far], SIZE).lens is not None

@@ -76,8 +76,16 @@ def about_the_camera(
     drawn, or ought to be."""
     if viewing.focal is not None and model.lens is not None:
         return _about_the_focal_length(float(np.median(model.lens.focal)), model.lens.number, exif)
+    if not viewing.rooted:
+        return []
+    if size is None and viewing.focal is None:
+        return [
+            "nobody knows how large the image is, and so whether the camera was near: within some"
+            " three metres intervals are too narrow; give --image, --image-size 1920x1080 or"
+            " --focal"
+        ]
     metres = nearest(people, size, model.lengths)
-    if metres >= FAR_ENOUGH or not viewing.rooted:
+    if metres >= FAR_ENOUGH:
         return []
     near = (
         f"a usual camera took this image, if it is a whole one, within {metres:.1f} m of somebody,"

@@ -20,6 +20,7 @@ from poseterior.inference.readings import (
     BETTER_BY,
     FACE_THRESHOLD,
     READINGS,
+    SIZE_THRESHOLD,
     Judge,
     Verdict,
     together,
@@ -166,6 +167,9 @@ def main(data: Data) -> Page:
         "fresh": FRESH,
         "others": MISREAD_POSES,
         "poses": READ_POSES,
+        "size_threshold": f"{SIZE_THRESHOLD:g}",
+        "better_by": f"{BETTER_BY:g}",
+        "face_threshold": f"{FACE_THRESHOLD:g}",
         "real": real_table(judge, real_people(data)),
         "symmetry": (
             f"{np.median(spread):.2f} nats in the median, {np.quantile(spread, 0.95):.1f} for 95 %"

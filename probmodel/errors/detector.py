@@ -24,6 +24,7 @@ from scipy.special import ndtri
 from poseterior.probmodel.detections import LARGEST_NUMBER
 from poseterior.probmodel.documents import read_json
 from poseterior.probmodel.errors.laws import LAWS, ErrorLaw, law_of
+from poseterior.probmodel.errors.times import WITH_SE, ErrorTimes
 from poseterior.probmodel.failures import BadInput, shown
 from poseterior.probmodel.files import replacing
 from poseterior.probmodel.layouts import MIDPOINTS, weights_of
@@ -44,7 +45,7 @@ _ADVICE = "give a file that `poseterior calibrate` wrote, or one like it"
 _PARAMETERS = {field.name for law in LAWS.values() for field in dataclasses.fields(law)}  # type: ignore[arg-type]
 _KEYS = {
     *("format", "units", "axes", "law", *_PARAMETERS),
-    *("joints", "exchange", "score", "outlier_radius", "learned"),
+    *("joints", "exchange", "score", "outlier_radius", "times", "learned"),
 }
 _JOINT_KEYS = {"sigma", "inlier", "bias", "se", "pairs", "definition", "definition_sd"}
 FARTHEST_DEFINITION = 1.0
@@ -121,6 +122,9 @@ class DetectorErrors:
     definition_sd
         `(15, 3)` body units: how much that differs between people, and between detectors where it
         is not known which one it is; see `definitions`.
+    times
+        How long errors last. None where nobody knows: then they are taken to last, so that a film
+        is worth no more than a frame (`worth`).
 
     Raises
     ------
@@ -140,6 +144,7 @@ class DetectorErrors:
     learned: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     definition: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((NUM_JOINTS, 3)))
     definition_sd: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((NUM_JOINTS, 3)))
+    times: ErrorTimes | None = None
 
     def __post_init__(self) -> None:
         self._check_radius()
@@ -163,6 +168,13 @@ class DetectorErrors:
         self._check_score()
         self._check_sizes()
         self._check_definition()
+        if self.times is not None:
+            self.times.check()
+
+    def worth(self, frames: int, rate: float) -> float:
+        """How many frames with errors of their own so many in succession are worth
+        (`ErrorTimes.worth`)."""
+        return 1.0 if self.times is None else self.times.worth(frames, rate)
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:
@@ -376,6 +388,7 @@ class DetectorErrors:
             learned=_object(document.get("learned", {}), "learned", source),
             definition=joints.definition,
             definition_sd=joints.definition_sd,
+            times=_times(document.get("times"), source),
         )
         try:
             law = law_of(document["law"], parameters)
@@ -393,6 +406,8 @@ class DetectorErrors:
         found["exchange"] = self.exchange._asdict()
         if self.score != ANY_SCORE:
             found["score"] = {name: list(part) for name, part in self.score._asdict().items()}
+        if self.times is not None:
+            found["times"] = self.times.document()
         return found | {"outlier_radius": self.outlier_radius, "learned": dict(self.learned)}
 
     def _entry(self, joint: int) -> dict[str, Any]:
@@ -505,6 +520,23 @@ def _score(entry: Any, source: str) -> ScoreFactor:
         for part, name in zip(parts, ScoreFactor._fields, strict=True)
     )
     return ScoreFactor(edges, factors)
+
+
+def _times(entry: Any, source: str) -> ErrorTimes | None:
+    if entry is None:
+        return None
+    entry = _object(entry, "times", source)
+    _require_keys(entry, set(ErrorTimes._fields), "times", source)
+    numbers = {
+        name: _finite(entry.get(name), f"times {name}", source)
+        for name in ErrorTimes._fields
+        if name != "se"
+    }
+    errors = _object(entry.get("se", {}), "times se", source)
+    known = {name: one for name, one in errors.items() if one is not None}
+    _require_keys(known, set(WITH_SE), "times se", source)
+    given = {name: _finite(one, f"times se {name}", source) for name, one in known.items()}
+    return ErrorTimes(**numbers, se=np.array([given.get(name, np.nan) for name in WITH_SE]))
 
 
 def _object(value: Any, name: str, source: str) -> dict[str, Any]:

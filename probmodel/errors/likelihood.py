@@ -10,7 +10,7 @@ import functools
 import hashlib
 import json
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -32,6 +32,11 @@ if TYPE_CHECKING:
 LONGEST_REACH = 6.7
 """Spreads: a Student's law of two degrees of freedom ends there. Longer tails reach farther than a
 person."""
+
+
+def _of_a_frame(law: DetectorErrors) -> dict[str, Any]:
+    """What a law says of single frames, whose posterior knows nothing of how long errors last."""
+    return {name: part for name, part in law.document().items() if name != "times"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,7 +146,7 @@ class Likelihood:
             "factor": float(self.factor),
             "joints": [int(joint) for joint in self.joints],
             "faults": [self.faults.outlier, self.faults.exchange, self.faults.reach],
-            "learned": None if self.learned is None else self.learned.document(),
+            "learned": None if self.learned is None else _of_a_frame(self.learned),
             **self.law.parameters,
         }
         return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()

@@ -2,7 +2,6 @@
 
 from poseterior.inference.studies.errorlaws import (
     Definitions,
-    ErrorTimes,
     Learned,
     Pairs,
     definitions_of_data,
@@ -14,6 +13,7 @@ from poseterior.inference.studies.errorlaws import (
     times_of_session,
 )
 from poseterior.probmodel import BadInput
+from poseterior.probmodel.errors.times import ErrorTimes
 from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions import Session
 from poseterior.probmodel.sessions.turning import said_of
@@ -26,7 +26,6 @@ from poseterior.reports.tables.errorlaws import (
     definitions_table,
     errors_table,
     summary_lines,
-    times_json,
     times_lines,
 )
 
@@ -39,7 +38,6 @@ def run(settings: CalibrateSettings, screen: Screen) -> None:
     if picture == out:
         raise BadInput(f"{out} would be overwritten by its own picture; name it NAME.json")
     console.output_file(picture)
-    times = times_of(settings)
     definitions = definitions_of(settings)
     pairs, truth = pairs_of(settings, definitions)
     with console.progress("fits", screen.quiet) as step:
@@ -49,6 +47,7 @@ def run(settings: CalibrateSettings, screen: Screen) -> None:
             truth=truth,
             about=settings.described(),
             definitions=definitions,
+            times=times_of(settings),
             progress=step,
         )
     found.errors.write(out)
@@ -57,17 +56,17 @@ def run(settings: CalibrateSettings, screen: Screen) -> None:
         console.warn("the fit did not come to rest; its last step is written: take more frames")
     for sentence in said_of(settings.data) if isinstance(settings.data, Session) else ():
         console.warn(sentence)
-    show(found, screen, times)
+    show(found, screen)
     if not screen.json:
         console.say(f"Written to {out} and {picture}")
 
 
-def show(found: Learned, screen: Screen, times: ErrorTimes | None = None) -> None:
+def show(found: Learned, screen: Screen) -> None:
     """The law on stdout, and how long errors last where that is known."""
-    said = {} if times is None else {"times": times_json(times)}
+    times = found.errors.times
     lines = summary_lines(found) + ([] if times is None else times_lines(times))
     sheets = errors_table(found), definitions_table(found)
-    console.show(screen.json, found.errors.document() | said, *sheets, *lines)
+    console.show(screen.json, found.errors.document(), *sheets, *lines)
 
 
 def times_of(settings: CalibrateSettings) -> ErrorTimes | None:

@@ -32,13 +32,21 @@ def run(settings: FilmSettings, screen: Screen) -> None:
             progress=step,
         )
     frames.show(settings, fragments, screen)
-    about = open_stream(out).attrs
+    film = open_stream(out)
+    about, number = film.attrs, film["summary"].sizes["frame"]
     if not screen.json:
         told = "Depth in a frame is as open" if "views" not in about else "A frame says as much"
         console.say(
             f"{about['keep']} paths, each of one body; film_draws opens them. {told} as"
             " in a single one: what paths add is how it changes, and gaps"
         )
+        law = None if settings.drawn_before else settings.estimation.likelihood().learned
+        if law is not None and number > 1:
+            worth = law.worth(number, settings.fps / about["step"])
+            console.say(
+                f"Errors last: to the mean of a joint that rests the {number} frames are worth"
+                f" {worth:.1f} with errors of their own"
+            )
     if about["step"] > 1:
         warnings.append(
             f"the frames are numbered by {about['step']}: at {settings.fps:g} numbers a second they"

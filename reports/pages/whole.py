@@ -19,7 +19,11 @@ from poseterior.inference.studies.calibration import calibrate, judge
 from poseterior.inference.studies.calibration.assess import Answer
 from poseterior.inference.studies.calibration.posteriors import Sampler, independent_roots
 from poseterior.inference.studies.calibration.quantities import OF_ROOT
-from poseterior.inference.studies.calibration.simulations import FAR, NEAR, Instance
+from poseterior.inference.studies.calibration.simulations import (
+    FARTHEST_SEEN,
+    NEAREST_SEEN,
+    Instance,
+)
 from poseterior.inference.studies.calibration.verdict import Calibration
 from poseterior.probmodel import Lens, PoseModel
 from poseterior.probmodel.body import MILLIMETRES
@@ -101,8 +105,8 @@ def main(work: Work) -> Page:
         "fewest": min(int(number.min()) for number in numbers.values()),
         "middle": int(np.median(numbers[WEAK])),
         "middle_unknown": int(np.median(numbers[UNKNOWN])),
-        "near": f"{METRES * NEAR:.0f}",
-        "far": f"{METRES * FAR:.0f}",
+        "near": f"{METRES * NEAREST_SEEN:.0f}",
+        "far": f"{METRES * FARTHEST_SEEN:.0f}",
         "sentences": "\n".join(sentences),
         "families": families_table(verdicts),
         "of_root": roots_table({way: verdicts[way] for way in numbers}),

@@ -1,15 +1,14 @@
 """Tables of a detector's error law."""
 
-from typing import Any
-
 import numpy as np
 
-from poseterior.inference.studies.errorlaws import ErrorTimes, Learned
+from poseterior.inference.studies.errorlaws import Learned
 from poseterior.probmodel.errors.detector import Exchange
 from poseterior.probmodel.errors.laws import Student
+from poseterior.probmodel.errors.times import ErrorTimes
 from poseterior.probmodel.layouts import MIDPOINTS
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
-from poseterior.reports.tables.sheet import Column, Sheet, number, sheet_of
+from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
 FILM_SECONDS = (1.0, 10.0)
 """Of films, of which it is said what they are worth."""
@@ -99,12 +98,3 @@ def times_lines(times: ErrorTimes) -> list[str]:
         f"Frames with errors of their own that a film is worth, to the mean of a joint at rest:"
         f" {worth}",
     ]
-
-
-def times_json(times: ErrorTimes) -> dict[str, Any]:
-    """The same as numbers; None for standard errors that are not known."""
-    names = ("constant", "slow", "quick", "seconds")
-    return {
-        **{name: getattr(times, name) for name in (*names, "longest", "deviation", "rate")},
-        "se": {name: number(float(se)) for name, se in zip(names, times.se, strict=True)},
-    }

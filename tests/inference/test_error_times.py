@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from poseterior.inference.studies.errorlaws import ErrorTimes, error_times, times_of_session
+from poseterior.inference.studies.errorlaws import error_times, times_of_session
 from poseterior.probmodel import BadInput
+from poseterior.probmodel.errors.times import ErrorTimes
 from poseterior.probmodel.sessions import read_session
-from poseterior.reports.tables.errorlaws import times_json, times_lines
+from poseterior.reports.tables.errorlaws import times_lines
 
 FILM = Path(__file__).parents[3] / "shared" / "data" / "multicamera"
 PARTS = np.array([0.4, 0.5, 0.1])
@@ -98,7 +99,7 @@ def test_words_and_numbers_say_the_same() -> None:
     assert f"10 s {found.worth(600, RATE):.1f}" in worth
     (unbounded, _) = times_lines(found._replace(longest=SECONDS))
     assert "slow errors last 0.15 s at least" in unbounded
-    said = times_json(found)
+    said = found.document()
     assert said["constant"] == 0.4
     assert said["se"]["seconds"] is None
 

@@ -28,7 +28,7 @@ from poseterior.inference.studies.calibration.quantities import (
     of_rooted,
 )
 from poseterior.inference.studies.calibration.real import by_the_likelihood
-from poseterior.inference.studies.calibration.simulations import Instance, Window
+from poseterior.inference.studies.calibration.simulations import Instance, LensWindow
 from poseterior.inference.studies.calibration.verdict import MISCALIBRATED
 from poseterior.probmodel import BadInput, DetectorErrors, Gaussian, Lens, Likelihood, PoseModel
 from poseterior.probmodel.datasets import Case
@@ -99,7 +99,7 @@ def test_simulated_people_are_seen_in_the_window_of_a_lens() -> None:
         one.frame.candidates[0].camera
         for one in simulate(PoseModel(lens=LENS), 1, 0, 400, root="uncertain")
     ]
-    window = Window.of(LENS)
+    window = LensWindow.of(LENS)
     scale = np.array([float(camera.scale) for camera in cameras])
     place = np.array([camera.translation for camera in cameras])
     for column, low, high in zip([np.log(scale), *place.T], window.low, window.high, strict=True):
@@ -114,7 +114,7 @@ def test_simulated_people_are_seen_in_the_window_of_a_lens() -> None:
 
 def test_focal_lengths_too_far_apart_have_no_window() -> None:
     with pytest.raises(BadInput, match="differ by 10 times cannot be simulated together"):
-        Window.of(Lens(np.array([100.0, 1000.0]), np.zeros(2)))
+        LensWindow.of(Lens(np.array([100.0, 1000.0]), np.zeros(2)))
 
 
 @pytest.mark.parametrize("lens", [None, LENS])

@@ -80,6 +80,36 @@ def test_what_is_written_is_read(tmp_path: Path):
     assert (again.pairs[HEAD], again.se[HEAD].tolist()) == (17, [0.1, 0.2, 0.3, 0.4])
 
 
+TIMES = {
+    **{"constant": 0.5, "slow": 0.4, "quick": 0.1, "seconds": 0.15},
+    **{"deviation": 0.07, "longest": 0.5, "rate": 60.0},
+}
+
+
+def test_how_long_errors_last_is_kept_and_says_nothing_of_one_frame(tmp_path: Path) -> None:
+    """The hash by which runs are known again is that of a frame's posterior; the control: another
+    spread changes it."""
+    given = {**TIMES, "se": {"constant": 0.1, "seconds": None}}
+    errors = DetectorErrors.from_document(changed(("times",), given), "x")
+    errors.write(tmp_path / "errors.json")
+    again = DetectorErrors.read(tmp_path / "errors.json").times
+    assert again is not None
+    assert again[:-1] == tuple(TIMES.values())
+    np.testing.assert_array_equal(again.se, [0.1, np.nan, np.nan, np.nan])
+    plain = DetectorErrors.from_document(DOCUMENT, "x")
+    assert plain.times is None
+    assert Likelihood.of(errors).sha256 == Likelihood.of(plain).sha256
+    other = DetectorErrors.from_document(changed(("joints", "head", "sigma"), 0.2), "x")
+    assert Likelihood.of(other).sha256 != Likelihood.of(plain).sha256
+
+
+def test_a_film_of_errors_that_last_is_worth_a_frame() -> None:
+    plain = DetectorErrors.from_document(DOCUMENT, "x")
+    assert plain.worth(100, 60.0) == 1.0
+    times = DetectorErrors.from_document(changed(("times",), TIMES), "x")
+    assert 1.0 < times.worth(100, 60.0) < 2.0
+
+
 def test_a_gaussian_needs_nothing_but_joints():
     errors = DetectorErrors.from_document(
         {"format": FORMAT, "law": "gaussian", "joints": {"head": {"sigma": 0.1}}}, "x"
@@ -98,6 +128,12 @@ def test_a_joint_that_is_seen_must_be_known():
 
 WRIST_PATH = ("joints", "left_wrist")
 REFUSALS = [
+    (("times",), [1], r"times must be an object, not \[1\]"),
+    (("times",), {**TIMES, "slow": 0.5}, "constant, slow, quick must be shares with sum 1, not"),
+    (("times",), {**TIMES, "seconds": 0}, "the times' seconds must be a positive number, not 0"),
+    (("times",), {**TIMES, "seconds": None}, "times seconds must be a number, not None"),
+    (("times",), {**TIMES, "se": {"slow": "x"}}, "times se slow must be a number, not 'x'"),
+    (("times",), {**TIMES, "se": {"fast": 1}}, "times se has no 'fast'"),
     (("format",), "poseterior error law 2", 'does not begin with "format"'),
     (("format",), ..., 'does not begin with "format"'),
     (("law",), ..., "lacks 'law'"),

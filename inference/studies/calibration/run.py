@@ -49,7 +49,7 @@ from poseterior.inference.studies.calibration.record import (
 from poseterior.inference.studies.calibration.simulations import (
     SIMULATIONS_PER_BLOCK,
     Instance,
-    Window,
+    LensWindow,
     simulate,
 )
 from poseterior.probmodel.anatomy.limits import AnatomicalLimits
@@ -131,7 +131,7 @@ def calibrate(
     else:
         draw = _sampler(sampler, model, num_samples, max_proposals, root, num_roots)
     if model.lens is not None:
-        draw = functools.partial(_within, Window.of(model.lens), draw)
+        draw = functools.partial(_within, LensWindow.of(model.lens), draw)
     settings = {
         **_asked(sampler, draw),
         **_common(model, seed, num_samples, likelihood, max_proposals),
@@ -373,7 +373,7 @@ def _sampler(
 
 
 def _within(
-    window: Window, draw: Sampler, index: int, instance: Instance, key: jax.Array
+    window: LensWindow, draw: Sampler, index: int, instance: Instance, key: jax.Array
 ) -> Answer:
     """Of a posterior's draws those in the window in which the truth was drawn."""
     answer = draw(index, instance, key)

@@ -8,7 +8,7 @@ Where the root is uncertain it has to come from its prior: torso uniform, rotati
 measure, or upright as the model believes. From flat priors of log scale and translation nothing can
 be drawn; but the posterior moves and grows with the image (docs/model.md § 9), so any fixed
 scale and place will do for questions whose answers do the same. Perspective does not: before a lens
-both are drawn from a window (`Window`), and the posterior is asked given that they lie in it.
+both are drawn from a window (`LensWindow`), and the posterior is asked given that they lie in it.
 """
 
 import dataclasses
@@ -37,7 +37,7 @@ from poseterior.probmodel.transport import CUBE_DIM, from_cube
 FACING_UPRIGHT = np.diag([1.0, -1.0, -1.0])
 """Turns axes (left, up, forward) into the camera's, the person facing the camera."""
 SCALE, IMAGE_CENTRE = 100.0, np.array([320.0, 240.0])
-NEAR, FAR, ASIDE = 3.0, 20.0, 0.2
+NEAREST_SEEN, FARTHEST_SEEN, ASIDE = 3.0, 20.0, 0.2
 """Body units to people before a lens: at least, before the shortest of its focal lengths, and at
 most, before the longest; and their places beside the optical axis at most, in focal lengths."""
 TILT = 30.0
@@ -71,7 +71,7 @@ Spread = Callable[[np.ndarray, Likelihood], np.ndarray]
 """Scores `(15,)` and a likelihood → the spread `(15,)` of each joint's error, body units."""
 
 
-class Window(NamedTuple):
+class LensWindow(NamedTuple):
     """Where simulated people are seen by a lens: the prior, which is flat in the logarithm of the
     scale and in the place, is drawn within it.
 
@@ -88,14 +88,14 @@ class Window(NamedTuple):
     lens: Lens
 
     @classmethod
-    def of(cls, lens: Lens) -> "Window":
+    def of(cls, lens: Lens) -> "LensWindow":
         """That of a lens. Raises `BadInput` where its focal lengths lie too far apart for one."""
         focal, middle = np.atleast_1d(lens.focal), np.asarray(lens.principal)
-        scale = np.log([np.max(focal) / FAR, np.min(focal) / NEAR])
+        scale = np.log([np.max(focal) / FARTHEST_SEEN, np.min(focal) / NEAREST_SEEN])
         if scale[0] >= scale[1]:
             raise BadInput(
                 f"focal lengths that differ by {np.max(focal) / np.min(focal):.3g} times cannot be"
-                f" simulated together; give some that differ by less than {FAR / NEAR:g}"
+                f" simulated together; {FARTHEST_SEEN / NEAREST_SEEN:.3g} times is the most"
             )
         aside = ASIDE * np.median(focal)
         low, high = np.append(scale[0], middle - aside), np.append(scale[1], middle + aside)
@@ -144,7 +144,7 @@ def simulate(
     joints = in_chunks(functools.partial(_poses, model), cubes, torsos, size=SIMULATIONS_PER_BLOCK)
     people = len(model.torsos) if root == UNCERTAIN else 1
     definitions = likelihood.definitions(people)
-    window = None if model.lens is None else Window.of(model.lens)
+    window = None if model.lens is None else LensWindow.of(model.lens)
     some = []
     for row, (rng, index, torso) in enumerate(zip(rngs, indices, torsos, strict=True)):
         rotation = ROTATIONS[root](rng, model)

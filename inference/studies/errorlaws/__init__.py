@@ -14,11 +14,10 @@ from poseterior.inference.studies.errorlaws.definitions import (
 from poseterior.inference.studies.errorlaws.judge import shares_within
 from poseterior.inference.studies.errorlaws.learn import Learned, learn
 from poseterior.inference.studies.errorlaws.pairs import Pairs, pairs_of_data, pairs_of_session
-from poseterior.inference.studies.errorlaws.times import ErrorTimes, error_times, times_of_session
+from poseterior.inference.studies.errorlaws.times import error_times, times_of_session
 
 __all__ = [
     "Definitions",
-    "ErrorTimes",
     "Learned",
     "Pairs",
     "definitions_of_data",

@@ -14,6 +14,7 @@ import numpy as np
 
 from poseterior.inference.studies.errorlaws.learn import learn
 from poseterior.inference.studies.errorlaws.pairs import pairs_of_session
+from poseterior.inference.studies.errorlaws.times import times_of_session
 from poseterior.probmodel.errors.detector import DetectorErrors, Exchange
 from poseterior.probmodel.errors.laws import Student
 from poseterior.probmodel.sessions import Session, read_session
@@ -35,6 +36,8 @@ where 0.99 is as much as the film's 400 detections without an outlier can say, w
 torso's midpoints too; and no head, which gets the elbows'."""
 EXCHANGES = Exchange(legs=0.005, arms=0.005, body=0.005)
 """Assumed: the film shows none in 400 detections, which bounds each by 0.75 % (95 %)."""
+FILM_RATE = 60.0
+"""Frames a second of the film."""
 PATH = Path(__file__).parents[3] / "probmodel" / "data" / "errors.json"
 
 
@@ -52,6 +55,7 @@ def embedded(session: Session, *, perspective: bool = False) -> DetectorErrors:
         np.array([INLIERS[joint.split("_")[-1]] for joint in JOINTS]),
         np.zeros_like(found.bias),
         exchange=EXCHANGES,
+        times=times_of_session(session, FILM_RATE, perspective=perspective),
         learned={
             **found.learned,
             "detector": session.people[0][0].layout,

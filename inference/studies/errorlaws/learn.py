@@ -24,6 +24,7 @@ from poseterior.probmodel.errors.detector import (
     ScoreFactor,
 )
 from poseterior.probmodel.errors.laws import Gaussian, Student
+from poseterior.probmodel.errors.times import ErrorTimes
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.layouts import MIDPOINTS
 from poseterior.probmodel.skeleton import JOINT_INDEX, NUM_JOINTS
@@ -76,6 +77,7 @@ def learn(
     truth: Pairs | None = None,
     about: dict[str, Any] | None = None,
     definitions: "Definitions | None" = None,
+    times: ErrorTimes | None = None,
     progress: Progress | None = None,
 ) -> Learned:
     """The error law of a detector.
@@ -96,6 +98,8 @@ def learn(
     definitions
         Where the detector's points lie beside the skeleton's joints, which the record says; how
         little that is known is their spread.
+    times
+        How long errors last, which the record says.
     progress
         Called with how many fits are done, and of how many.
 
@@ -126,6 +130,7 @@ def learn(
         some = None if truth is None else truth.take(kept)
         parts.append(_fitted(pairs.take(kept), some, law, edges, whole)[0].mixture)
     errors = _record(pairs, whole[0], parts, edges, count, about or {})
+    errors = dataclasses.replace(errors, times=times)
     if definitions is not None:
         errors = defined(errors, definitions)
     return Learned(

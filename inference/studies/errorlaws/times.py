@@ -8,12 +8,11 @@ Errors of neighbouring frames hang together, so that a hundred frames say far le
 times as much as one.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from poseterior.inference.studies.errorlaws.pairs import pairs_of_session
 from poseterior.probmodel.datasets.sessions import judged_views
+from poseterior.probmodel.errors.times import ErrorTimes
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.sessions import Session
 
@@ -34,58 +33,6 @@ ASTRAY = 5.0
 
 MEDIAN_LENGTH = 1.177
 """Of a Gaussian error in the plane, in its standard deviations each way."""
-
-
-class ErrorTimes(NamedTuple):
-    """The three parts of the variance of a joint's errors.
-
-    Attributes
-    ----------
-    constant, slow, quick
-        Their shares, with sum one: of what stays over a film, of what wanders, with an
-        autocorrelation of exp(-time / `seconds`), and of what is new in every frame.
-    seconds
-        How long slow errors last.
-    deviation
-        The standard deviation of all three together, in the unit of the errors.
-    longest
-        The longest time that the film tells from ever, seconds; where `seconds` is no shorter,
-        slow errors last for so long at least, and pass over into constant ones.
-    rate
-        Frames a second of the film that they were learned from.
-    se : `(4,)` standard errors of shares and seconds, from leaving recordings out in turn; NaN
-        where there is one alone.
-    """
-
-    constant: float
-    slow: float
-    quick: float
-    seconds: float
-    deviation: float
-    longest: float
-    rate: float
-    se: np.ndarray
-
-    def worth(self, frames: int, rate: float) -> float:
-        """How many frames with errors of their own so many in succession are worth, to the mean of
-        a joint that rests: the variance of one frame over that of the best linear mean.
-
-        Parameters
-        ----------
-        frames
-            How many.
-        rate
-            Of them in a second.
-
-        Returns
-        -------
-        float
-            1 for one frame.
-        """
-        apart = np.abs(np.subtract.outer(np.arange(frames), np.arange(frames))) / rate
-        covariance = self.constant + self.slow * np.exp(-apart / self.seconds)
-        covariance += self.quick * np.eye(frames)
-        return float(np.linalg.solve(covariance, np.ones(frames)).sum())
 
 
 def error_times(errors: np.ndarray, rate: float) -> ErrorTimes:

@@ -145,10 +145,10 @@ BETTER_BY = 4.0
 better before it is spoken of: less is the noise of the draws."""
 FACE_THRESHOLD = 2.5
 """The same for the exchange of everything, which the face decides."""
-SIZE_THRESHOLD = 6.0
-"""Nats a person by which another size of the image must explain them better. Bodies are wider and
-narrower too, so it is the mean over people that counts: real ones, read rightly, gain up to 5,
-and one captured in forty more."""
+SIZE_THRESHOLD = 10.0
+"""Nats, times the root of the number of people, by which another size of the image must explain
+them better. Bodies are wider and narrower too, so that one in seventy gains as much, read rightly;
+what several gain so, each by itself, adds up as roots do, and what a wrong size brings, in full."""
 WORST_FIT = -3.8
 """Log evidence a seen joint, below which the points are hardly a body's under any reading."""
 UPSIDE_DOWN = -0.5
@@ -204,7 +204,7 @@ class Verdict(NamedTuple):
         total = dict(zip(self.names, self.gains.sum(axis=0).tolist(), strict=True))
         exchanges = {reading.name: total[reading.name] for reading in READINGS}
         best = max(exchanges, key=exchanges.__getitem__)
-        wrong_size = total.get("size", -np.inf) > SIZE_THRESHOLD * len(self.gains)
+        wrong_size = total.get("size", -np.inf) > SIZE_THRESHOLD * np.sqrt(len(self.gains))
         if (self.fits.sum() + max(exchanges[best], 0.0)) / self.joints.sum() < WORST_FIT:
             found.append("size" if wrong_size else "order")
         elif exchanges[best] > BETTER_BY:

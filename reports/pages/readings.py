@@ -74,6 +74,13 @@ def percent(counts: tuple[int, int]) -> str:
     return f"{count / whole:.1%} ({count} of {whole})" if whole else "–"
 
 
+def _with_error(found: Study) -> str:
+    """How many people who were read rightly are doubted, with its standard error."""
+    count, whole = share(found.verdicts[READ_RIGHT])
+    doubted = count / whole
+    return f"{doubted:.1%} ± {np.sqrt(doubted * (1 - doubted) / whole):.1%}"
+
+
 def _percent_only(counts: tuple[int, int]) -> str:
     count, whole = counts
     return f"{count / max(whole, 1):.1%}"
@@ -167,6 +174,8 @@ def main(data: Data) -> Page:
         "fresh": FRESH,
         "others": MISREAD_POSES,
         "poses": READ_POSES,
+        "right": _with_error(found),
+        "right_fresh": _with_error(fresh),
         "size_threshold": f"{SIZE_THRESHOLD:g}",
         "better_by": f"{BETTER_BY:g}",
         "face_threshold": f"{FACE_THRESHOLD:g}",

@@ -610,13 +610,13 @@ class _Drawing:
 
 def _places(draws: Draws, lens: Lens | None) -> np.ndarray:
     """`(n, 3)`: where the pelvis of every draw stands in the camera's axes, body units; NaN where
-    the focal length is not known. A lens sees a body unit there as `scale` pixels."""
-    if lens is None:
+    the focal length is not known, or is drawn: then it stands elsewhere in every draw. A lens sees
+    a body unit there as `scale` pixels."""
+    if lens is None or lens.number > 1:
         return np.full((len(draws.joints), 3), np.nan)
     scale = np.asarray(draws.scale)[:, None]
     aside = (draws.keypoints[:, JOINT_INDEX["pelvis"]] - np.asarray(lens.principal)) / scale
-    focal = np.asarray(lens.at(draws.cameras.lens).focal).reshape(-1, 1)
-    return np.concatenate([aside, focal / scale], axis=1)
+    return np.concatenate([aside, np.asarray(lens.focal) / scale], axis=1)
 
 
 def _in_world(draws: Draws, world: CalibratedWorld) -> PoseDraws:

@@ -1,6 +1,6 @@
 """How far away people stand at most, by how large they appear before a usual camera."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -29,10 +29,10 @@ def farthest(person: Detection, size: tuple[int, int], lengths: LengthPrior) -> 
 
 
 def nearest(
-    people: Sequence[Detection], size: tuple[int, int] | None, lengths: LengthPrior
+    people: Iterable[Detection], size: tuple[int, int] | None, lengths: LengthPrior
 ) -> float:
     """Metres within which somebody stands: the least of `farthest`; infinite where nobody knows."""
     if size is None:
         return np.inf
-    metres = [farthest(person, size, lengths) for person in people]
+    metres = (farthest(person, size, lengths) for person in people)
     return min((one for one in metres if np.isfinite(one)), default=np.inf)

@@ -1,41 +1,53 @@
 """Doubts about what was given with a detection: whether it is the right image, whether the image
 has the size that the user says, and whether its camera was far enough for weak perspective."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from poseterior.probmodel import Detection, PoseModel
-from poseterior.probmodel.distance import nearest
+from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.layouts import MEDIAPIPE_33
-from poseterior.reports.options import FAR_ENOUGH, Detected, Person, Viewing
+from poseterior.reports.options import (
+    FAR_ENOUGH,
+    ROUTES,
+    Detected,
+    Person,
+    Prior,
+    Viewing,
+    draw_lenses,
+)
 
 MOST_PEOPLE = 8
 """People of a file by whom its reading is judged, evenly spread, the one that is shown among
 them."""
 
+BEYOND = 0.05
+"""Of an image's longer side: a joint that lies so far outside it is not seen in it."""
 ODD_FOCAL = 1.25
 """So many times as long, or as short, as the photo says, a focal length is doubted: EXIF is in
 whole millimetres, and calibrations differ from it by some per cent."""
 
 
-def about_the_image(person: Detection, image: np.ndarray | None) -> list[str]:
-    """What the image itself says: whether its size is the detection's, and whether the joints lie
-    in it."""
-    if image is None:
+def about_the_image(person: Detection, size: tuple[int, int] | None) -> list[str]:
+    """Whether an image of this width and height is the detection's: whether it has its size, and
+    the joints lie in it. MediaPipe puts joints beyond the image, too."""
+    if size is None:
         return []
-    size = (image.shape[1], image.shape[0])
     if person.image_size not in (None, size):
         was = "x".join(map(str, person.image_size or ()))
         return [
             f"the detection was made on an image of {was} pixels, but this one has"
             f" {size[0]}x{size[1]}"
         ]
-    points = person.keypoints[person.seen]
-    outside = ((points < 0) | (points > size)).any(axis=1)
-    if outside.sum() > len(points) / 2:
-        said = f"{outside.sum()} of {len(points)} joints lie outside the image"
-        return [f"{said}: is it the right one, in its full size?"]
+    points, beyond = person.keypoints[person.seen], BEYOND * max(size)
+    outside = ((points < -beyond) | (points > np.array(size) + beyond)).any(axis=1).sum()
+    usual = len(points) / 2 if person.layout == MEDIAPIPE_33.name else 1
+    if outside > usual:
+        return [
+            f"{outside} of {len(points)} joints lie outside the image of {size[0]}x{size[1]}:"
+            " is it the right one, in its full size, and upright?"
+        ]
     return []
 
 
@@ -65,26 +77,27 @@ def about_the_size(people: Sequence[Detection], detected: Detected, model: PoseM
 
 
 def about_the_camera(
-    people: Sequence[Detection],
+    metres: float,
     size: tuple[int, int] | None,
     model: PoseModel,
     viewing: Viewing,
     exif: float | None = None,
+    samplers: Iterable[str] = ROUTES,
 ) -> list[str]:
     """Whether the focal length that was given is another than the photo's EXIF says, pixels; where
-    torso and camera are uncertain, too, whether people stand near the camera, and what is therefore
-    drawn, or ought to be."""
-    if viewing.focal is not None and model.lens is not None:
-        return _about_the_focal_length(float(np.median(model.lens.focal)), model.lens.number, exif)
+    none was given, and torso and camera are uncertain, also whether people stand within so few
+    `metres` that it is drawn, or ought to be by other `samplers`."""
+    if viewing.focal is not None:
+        lens = model.lens
+        return [] if lens is None else _about_the_focal_length(lens, exif)
     if not viewing.rooted:
         return []
-    if size is None and viewing.focal is None:
+    if size is None:
         return [
-            "nobody knows how large the image is, and so whether the camera was near: within some"
-            " three metres intervals are too narrow; give --image, --image-size 1920x1080 or"
-            " --focal"
+            "no one size of the image is known, and so nobody knows whether the camera was near:"
+            " within some three metres intervals are too narrow; give --image, its size, such as"
+            " --image-size 1920x1080, or --focal"
         ]
-    metres = nearest(people, size, model.lengths)
     if metres >= FAR_ENOUGH:
         return []
     near = (
@@ -92,16 +105,20 @@ def about_the_camera(
         " where perspective is strong"
     )
     known = "in pixels" if exif is None else f"in pixels or exif ({exif:.0f} pixels)"
-    if model.lens is None:
-        return [f"{near} and intervals without it are too narrow: give --focal, {known} or unknown"]
+    if draw_lenses(samplers):
+        return [
+            f"{near}: the focal length is drawn with the rest; give --focal where you know it,"
+            f" {known}, or weak, to leave perspective out"
+        ]
     return [
-        f"{near}: the focal length is drawn with the rest; give --focal where you know it, {known},"
-        " or weak, to leave perspective out"
+        f"{near} and intervals without it are too narrow: give --focal, {known}, or take"
+        f" {ROUTES[0]}"
     ]
 
 
-def _about_the_focal_length(focal: float, number: int, exif: float | None) -> list[str]:
-    if number > 1 or exif is None or 1 / ODD_FOCAL < focal / exif < ODD_FOCAL:
+def _about_the_focal_length(lens: Lens, exif: float | None) -> list[str]:
+    focal = float(np.median(lens.focal))
+    if lens.number > 1 or exif is None or 1 / ODD_FOCAL < focal / exif < ODD_FOCAL:
         return []
     return [
         f"the photo's EXIF says a focal length of {exif:.0f} pixels, not {focal:.0f}: is it whole,"
@@ -109,13 +126,21 @@ def _about_the_focal_length(focal: float, number: int, exif: float | None) -> li
     ]
 
 
-def about(given: Person, model: PoseModel, viewing: Viewing) -> list[str]:
-    """All doubts about the image of one person of a file, by a camera of which this is
-    believed. Raises `BadInput` on a bad file."""
+def about(
+    given: Person,
+    prior: Prior,
+    model: PoseModel,
+    viewing: Viewing,
+    samplers: Iterable[str] = ROUTES,
+) -> list[str]:
+    """All doubts about the image of one person of a file, of whose camera this is believed. Raises
+    `BadInput` on a bad file."""
     person, detected = given.detection, given.detected
     people = [person, *others(given.people, person)]
     return [
-        *about_the_image(person, detected.photo),
+        *about_the_image(person, detected.size),
         *about_the_size(people, detected, model),
-        *about_the_camera([person], given.size, model, viewing, detected.photo_focal),
+        *about_the_camera(
+            given.within(prior), given.size, model, viewing, detected.photo_focal, samplers
+        ),
     ]

@@ -24,8 +24,6 @@ from poseterior.reports import configuration, console
 from poseterior.reports.fields import option
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import numpy as np
 
     from poseterior.inference import Estimating
@@ -375,6 +373,12 @@ class Person:
         """Width and height of the person's image, if anything says them."""
         return self.detected.size or self.detection.image_size
 
+    def within(self, prior: Prior) -> float:
+        """Metres within which the person stands, by how large the image is."""
+        from poseterior.probmodel.distance import nearest
+
+        return nearest([self.detection], self.size, prior.anatomy().lengths)
+
     def check(self) -> None:
         """Reads the file. Raises `BadInput` on a bad file, or where there is no such person."""
         self.detection  # noqa: B018
@@ -580,6 +584,11 @@ FAR_ENOUGH = 4.0
 they are as good as any (reports/strangers.md)."""
 
 
+def draw_lenses(samplers: Iterable[str]) -> bool:
+    """Whether all of these samplers can draw a focal length that nobody knows."""
+    return {*samplers} <= {*ROUTES}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rooting:
     """Whether torso and camera are a part of the posterior."""
@@ -638,39 +647,43 @@ class Viewing(Rooting):
     def model_seeing(
         self,
         prior: Prior,
-        people: "Sequence[Detection]",
+        metres: float,
         size: tuple[int, int] | None,
         exif: float | None = None,
         samplers: Iterable[str] = ROUTES,
     ) -> "PoseModel":
         """As `model`, before the camera of images of this width and height and with this focal
-        length in their EXIF, if they are known, in which these people were seen; for `samplers`,
-        not all of which can draw a focal length. Raises `BadInput` also on a camera that cannot be,
-        or whose optical axis nobody knows."""
-        from poseterior.probmodel.distance import nearest
-
-        model = self.model(prior)
-        drawn = self.rooted and {*samplers} <= {*ROUTES}
-        near = drawn and nearest(people, size, model.lengths) < FAR_ENOUGH
+        length in their EXIF, if they are known, within so many `metres` of somebody; for
+        `samplers`, not all of which can draw a focal length. Raises `BadInput` also on a camera
+        that cannot be, or whose optical axis nobody knows."""
+        near = metres < FAR_ENOUGH and self.rooted and draw_lenses(samplers)
         camera = CameraKind.unknown if near else CameraKind.weak
-        return model.seen_by(self._lens(self.focal or camera, size, exif))
+        said = camera if self.focal is None else self.focal
+        return self.model(prior).seen_by(self._lens(said, size, exif))
 
     def model_of(
         self, prior: Prior, person: Person, samplers: Iterable[str] = ROUTES
     ) -> "PoseModel":
         """As `model_seeing`, for the image of a person."""
-        people, size, exif = [person.detection], person.size, person.detected.photo_focal
-        return self.model_seeing(prior, people, size, exif, samplers)
+        exif = person.detected.photo_focal
+        return self.model_seeing(prior, person.within(prior), person.size, exif, samplers)
 
     def _lens(self, said: str, size: tuple[int, int] | None, exif: float | None) -> "Lens | None":
         import numpy as np
 
         from poseterior.probmodel.camera import Lens
 
-        if self.principal is not None and (self.focal is None or said == CameraKind.weak):
-            raise BadInput("--principal says nothing without a focal length; give --focal too")
         if said == CameraKind.weak:
+            if self.principal is not None:
+                raise BadInput(
+                    "--principal says nothing under weak perspective; give --focal with it, in"
+                    " pixels or unknown, or leave it out"
+                )
             return None
+        if said == CameraKind.unknown and not self.rooted:
+            raise BadInput(
+                "--focal unknown needs torso and camera to be uncertain; leave --root fixed out"
+            )
         if said == EXIF and exif is None:
             raise BadInput(
                 "--focal exif needs a photo (--image) whose EXIF says FocalLengthIn35mmFilm, which"

@@ -342,6 +342,12 @@ class FramesSettings(_ManyFrames):
     keep: int = option(0, "How many draws of each person are written, 200 bytes each.")
 
 
+OF_PATHS = frozenset(
+    ("path", "fps", "cutoff", "k", "person", "cameras", "out", "open", "config", "quiet", "json")
+)
+"""Options that say something of a film whose frames have been drawn."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class FilmSettings(_ManyFrames):
     """Whole paths of one person in a film: one body, motion that goes on from frame to frame, gaps
@@ -376,6 +382,15 @@ class FilmSettings(_ManyFrames):
     def drawn_before(self) -> bool:
         """Whether the path is a stream of `frames`, whose draws were kept."""
         return (self.path / "run.json").is_file()
+
+    def require_meaning(self, given: Set[str]) -> None:
+        """As of `FramesSettings`; of draws that are there nothing but paths is to be made."""
+        super().require_meaning(given)
+        for name in sorted(given - OF_PATHS) if self.drawn_before else ():
+            raise BadInput(
+                f"--{name.replace('_', '-')} is of what is drawn, and {self.path} has been drawn"
+                " already; leave it out"
+            )
 
     def check(self) -> None:
         """As of `FramesSettings`, where draws are still to be made. Raises `BadInput` on a film
@@ -845,7 +860,7 @@ class CoverageSettings:
             way = "with views of people"
             unknown = ["simulate_only", "num_simulations", "sampler", "workers"]
             unknown += ["estimator", "noise", "missing", "perspective"]
-        elif self.dataset is not None and self.dataset.is_file() and {*views} & given:
+        elif self.dataset is not None and self.dataset.exists() and {*views} & given:
             way, unknown = "but with views of people", views
         elif self.dataset is not None:
             way, unknown = "with --dataset", ["simulate_only", "num_simulations"]

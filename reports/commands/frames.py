@@ -2,7 +2,7 @@
 where it was stopped, and its film as a page."""
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from poseterior.inference.footage import Item
 from poseterior.inference.measured import measures
 from poseterior.inference.stream import DRAW_BYTES, People, open_stream, sample_frames
 from poseterior.probmodel import Detection, PoseModel
+from poseterior.probmodel.distance import nearest
 from poseterior.probmodel.level import doubtful
 from poseterior.probmodel.measures import USUAL
 from poseterior.probmodel.sessions.turning import said_of
@@ -46,11 +47,14 @@ def draw(
     if settings.is_session:
         return [], _draw_session(settings, out, screen)
     with console.progress("limits and torsos", screen.quiet):
-        first, size, viewing = _first_people(settings), settings.size, settings.rooting
-        model = viewing.model_seeing(settings.prior, first, size)
+        size, exif, viewing = settings.size, settings.detected.photo_focal, settings.rooting
+        metres = nearest(_everyone(settings), size, settings.prior.anatomy().lengths)
+        model = viewing.model_seeing(settings.prior, metres, size, exif)
+        first = list(itertools.islice(_everyone(settings), doubts.MOST_PEOPLE))
         warnings = [
+            *itertools.islice(_of_the_image(first, settings.detected.size), 1),
             *doubts.about_the_size(first, settings.detected, model),
-            *doubts.about_the_camera(first, size, model, viewing),
+            *doubts.about_the_camera(metres, size, model, viewing, exif),
         ]
     estimating = settings.estimation.estimating(model)
     person = settings.person
@@ -159,7 +163,10 @@ def show(settings: FramesSettings | FilmSettings, fragments: Sequence[str], scre
         console.open_page(page)
 
 
-def _first_people(settings: FramesSettings | FilmSettings) -> list[Detection]:
-    """Those by whom the size of all images, and the distance of all people, is judged."""
-    everyone = (one for frame in settings.detected.frames(settings.path) for one in frame.people)
-    return list(itertools.islice(everyone, doubts.MOST_PEOPLE))
+def _everyone(settings: FramesSettings | FilmSettings) -> Iterator[Detection]:
+    """Those by whom the size of all images, and how near the camera was, is judged."""
+    return (one for frame in settings.detected.frames(settings.path) for one in frame.people)
+
+
+def _of_the_image(people: Iterable[Detection], size: tuple[int, int] | None) -> Iterator[str]:
+    return (one for person in people for one in doubts.about_the_image(person, size))

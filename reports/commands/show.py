@@ -53,7 +53,7 @@ def _show_reading(settings: ShowSettings, screen: Screen) -> Path:
         judge, sizes = Judge(model), doubts.size_is_open(person, settings.person.detected)
         alone = judge.file([person], sizes=sizes)
         verdict = together([alone, judge.file(doubts.others(people, person), sizes=sizes)])
-    warnings = [*doubts.about_the_image(person, shown), *verdict.warnings]
+    warnings = [*doubts.about_the_image(person, settings.person.detected.size), *verdict.warnings]
     own = [sentence for sentence in alone.warnings if sentence not in warnings]
     warnings += [f"{sentence} (person {person.person} alone)" for sentence in own]
     radius = _radius(person, settings.estimation, model)

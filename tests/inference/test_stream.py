@@ -165,8 +165,14 @@ def test_who_stands_in_place_is_seen_where_the_draws_are(items, tmp_path):
     assert np.abs(wrong - own).max() > 0.01 * np.ptp(own)
 
 
-def test_without_a_focal_length_nobody_stands_anywhere(model, items, tmp_path):
-    sample_frames(model, items[:1], key=key(0), out=tmp_path, **SETTINGS)
+@pytest.mark.parametrize("focal", [None, [800.0, 1000.0]])
+def test_without_one_focal_length_nobody_stands_anywhere(model, items, tmp_path, focal):
+    """Nor where it is drawn: draws of one frame and of the next would stand elsewhere."""
+    options = SETTINGS
+    if focal is not None:
+        model = model.seen_by(Lens(np.array(focal), np.array([300.0, 200.0])))
+        options = SETTINGS | {"root": "uncertain", "num_roots": 60}
+    sample_frames(model, items[:1], key=key(0), out=tmp_path, **options)
     tree = open_stream(tmp_path)
     assert np.isnan(tree["summary"].place.values).all()
     assert np.isnan(tree["hypotheses"].place.values).all()

@@ -182,6 +182,7 @@ def test_bad_real_poses(data: Path, tmp_path: Path, change: dict, match: str) ->
         ("--simulate-only --sampler rejection", "--sampler means nothing with --simulate-only"),
         ("--simulate-only --roots 30", "--roots means nothing with --simulate-only"),
         ("--simulate-only --noise none", "--noise means nothing with --simulate-only"),
+        ("--dataset . --camera weak", "--camera means nothing but with views of people"),
         ("--dataset x.npz --num-simulations 9", "--num-simulations means nothing with --dataset"),
         ("--poses x.npz --simulate-only", "--simulate-only means nothing with --dataset"),
     ],

@@ -3,6 +3,7 @@ made here, at distances that are known."""
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from PIL import ExifTags, Image
 from poseterior.probmodel import Detection, Lens, PoseModel
 from poseterior.probmodel.body import MILLIMETRES
 from poseterior.probmodel.camera import FOCAL_MEDIAN
-from poseterior.probmodel.distance import farthest
+from poseterior.probmodel.distance import farthest, nearest
 from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.skeleton import BONES, NUM_JOINTS
 from poseterior.reports.doubts import about_the_camera
@@ -59,9 +60,9 @@ def test_two_wrong_keypoints_say_nothing(model: PoseModel) -> None:
 SEEN_BY = [
     ("uncertain", None, 1.5, SIZE, 5, "the focal length is drawn with the rest"),
     ("uncertain", None, 8.0, SIZE, 0, None),
-    ("uncertain", None, 1.5, None, 0, "nobody knows how large the image is"),
+    ("uncertain", None, 1.5, None, 0, "no one size of the image is known"),
     ("uncertain", "weak", 1.5, None, 0, None),
-    ("uncertain", "weak", 1.5, SIZE, 0, "intervals without it are too narrow: give --focal"),
+    ("uncertain", "weak", 1.5, SIZE, 0, None),
     ("uncertain", "unknown", 8.0, SIZE, 5, None),
     ("uncertain", "1000", 1.5, SIZE, 1, None),
     ("fixed", None, 1.5, SIZE, 0, None),
@@ -82,27 +83,54 @@ def test_the_camera_is_unknown_where_people_are_near(
 ) -> None:
     people = [person(model, metres)]
     viewing = Viewing(root=RootKind(root), focal=focal)
-    seen_by = viewing.model_seeing(Prior(), people, size)
+    within = nearest(people, size, model.lengths)
+    seen_by = viewing.model_seeing(Prior(), within, size)
     assert (0 if seen_by.lens is None else seen_by.lens.number) == number
-    sentences = about_the_camera(people, size, seen_by, viewing)
+    sentences = about_the_camera(within, size, seen_by, viewing)
     assert [said is not None and said in one for one in sentences] == [True] * (said is not None)
     assert all("within 1.8 m" in sentence for sentence in sentences if size is not None)
 
 
-def test_samplers_that_cannot_draw_a_focal_length_get_none(model: PoseModel) -> None:
-    near = [person(model, 1.5)], SIZE, None
-    for samplers, drawn in (
-        (["weighted-roots", "rejection"], True),
-        (["rejection", "emcee"], False),
-    ):
-        seen_by = Viewing().model_seeing(Prior(), *near, samplers)
-        assert (seen_by.lens is not None) == drawn
+@pytest.mark.parametrize(
+    ("samplers", "number", "said"),
+    [
+        (["weighted-roots", "rejection"], 5, "the focal length is drawn with the rest"),
+        (["rejection", "emcee"], 0, "too narrow: give --focal, in pixels, or take weighted-roots"),
+    ],
+)
+def test_samplers_that_cannot_draw_a_focal_length_get_none(
+    model: PoseModel, samplers: list[str], number: int, said: str
+) -> None:
+    seen_by = Viewing().model_seeing(Prior(), 1.5, SIZE, None, samplers)
+    assert (0 if seen_by.lens is None else seen_by.lens.number) == number
+    (sentence,) = about_the_camera(1.5, SIZE, seen_by, Viewing(), None, samplers)
+    assert said in sentence
 
 
 def test_one_person_says_whether_the_camera_is_near(model: PoseModel) -> None:
     near, far = person(model, 1.5), person(model, 8.0)
-    assert Viewing().model_seeing(Prior(), [far, near, far], SIZE).lens is not None
-    assert Viewing().model_seeing(Prior(), [far, far], SIZE).lens is None
+    assert nearest(iter([far, near, far]), SIZE, model.lengths) < FAR_ENOUGH
+    assert nearest([far, far], SIZE, model.lengths) > FAR_ENOUGH
+
+
+@pytest.mark.parametrize(
+    ("viewing", "said"),
+    [
+        ({"focal": "weak", "principal": "540,960"}, "--principal says nothing under weak persp"),
+        ({"principal": "540,960"}, "--principal says nothing under weak perspective"),
+        ({"focal": ""}, "--focal must be pixels of the image"),
+        ({"focal": "unknown", "root": RootKind.fixed}, "leave --root fixed out"),
+    ],
+)
+def test_what_cannot_be_said_of_a_camera(viewing: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        Viewing(**viewing).model_seeing(Prior(), 8.0, SIZE)
+
+
+def test_an_optical_axis_is_taken_where_the_focal_length_is_drawn() -> None:
+    lens = Viewing(principal="500,900").model_seeing(Prior(), 1.5, SIZE).lens
+    assert lens is not None
+    np.testing.assert_array_equal(lens.principal, [500.0, 900.0])
 
 
 def test_who_is_hardly_seen_is_not_judged(model: PoseModel) -> None:
@@ -112,7 +140,7 @@ def test_who_is_hardly_seen_is_not_judged(model: PoseModel) -> None:
     keypoints = np.where(score[:, None] > 0, seen.keypoints, np.nan)
     hidden = dataclasses.replace(seen, keypoints=keypoints, score=score)
     assert np.isnan(farthest(hidden, SIZE, model.lengths))
-    assert Viewing().model_seeing(Prior(), [hidden], SIZE).lens is None
+    assert nearest([hidden], SIZE, model.lengths) == np.inf
 
 
 def photo(folder: Path, says: object, orientation: int = 1) -> Path:
@@ -138,15 +166,15 @@ def test_a_photo_that_says_none(tmp_path: Path, says: object) -> None:
 
 
 def test_the_lens_of_a_photo(model: PoseModel) -> None:
-    lens = Viewing(focal="exif").model_seeing(Prior(), [], (600, 400), 500.0).lens
+    lens = Viewing(focal="exif").model_seeing(Prior(), np.inf, (600, 400), 500.0).lens
     assert lens is not None
     assert (float(lens.focal), lens.principal.tolist()) == (500.0, [300.0, 200.0])
     with pytest.raises(BadInput, match="whose EXIF says FocalLengthIn35mmFilm"):
-        Viewing(focal="exif").model_seeing(Prior(), [], (600, 400))
+        Viewing(focal="exif").model_seeing(Prior(), np.inf, (600, 400))
 
 
 def test_another_focal_length_than_the_photos_is_doubted(model: PoseModel) -> None:
-    near, middle = [person(model, 1.5)], np.array(SIZE) / 2
+    near, middle = 1.5, np.array(SIZE) / 2
     for focal, doubted in ((1000.0, False), (1200.0, False), (1300.0, True), (700.0, True)):
         seen_by, viewing = model.seen_by(Lens(focal, middle)), Viewing(focal=str(focal))
         said = about_the_camera(near, SIZE, seen_by, viewing, 1000.0)
@@ -154,5 +182,5 @@ def test_another_focal_length_than_the_photos_is_doubted(model: PoseModel) -> No
         assert all("1000 pixels, not" in sentence for sentence in said)
     unknown = model.seen_by(Lens.unknown(3000.0, middle))
     assert about_the_camera(near, SIZE, unknown, Viewing(focal="unknown"), 1000.0) == []
-    (sentence,) = about_the_camera(near, SIZE, model, Viewing(focal="weak"), 1000.0)
+    (sentence,) = about_the_camera(near, SIZE, unknown, Viewing(), 1000.0)
     assert "in pixels or exif (1000 pixels)" in sentence

@@ -67,12 +67,13 @@ def test_a_film_is_whole_paths_and_a_second_call_goes_on(poseterior: Cli, tmp_pa
     wanted = bones[7] / bones[7, :, :1]
     np.testing.assert_allclose(bones_of_path / bones_of_path[:, :1], wanted, rtol=1e-5)
     for arguments, words in [
-        ((path, "--fps", 20, "--cutoff", 3, "--out", out), "holds another run (its cutoff is 4"),
-        ((out, "--fps", 20, "--out", tmp_path / "y"), "is a film already"),
-        ((out / "frames", "--fps", 20, "--person", 3, "--out", tmp_path / "y"), "no person 3"),
-        ((out / "frames", "--fps", 20, "--out", out / "frames"), "would replace"),
+        ((path, "--cutoff", 3, "--out", out, *OPTIONS), "holds another run (its cutoff is 4"),
+        ((out, "--out", tmp_path / "y"), "is a film already"),
+        ((out / "frames", "--person", 3, "--out", tmp_path / "y"), "no person 3"),
+        ((out / "frames", "--out", out / "frames"), "would replace"),
+        ((out / "frames", "--out", tmp_path / "y", *OPTIONS), "--errors is of what is drawn, and"),
     ]:
-        refused = poseterior("film", *arguments, *OPTIONS)
+        refused = poseterior("film", *arguments, "--fps", 20, "--quiet")
         assert refused.code == 2, refused
         assert words in refused.err, refused
         assert refused.err.count("\n") == 1
@@ -119,6 +120,9 @@ def test_a_stream_is_made_a_film_if_its_draws_were_kept(poseterior: Cli, tmp_pat
     run = poseterior(*kept, "--k", 13)
     assert run.code == 2
     assert "13 hypotheses cannot be chosen among 12 paths" in run.err
+    run = poseterior(*kept, "--k", 2, "--focal", 1650)
+    assert run.code == 2
+    assert "--focal is of what is drawn, and" in run.err
     run = poseterior(*kept, "--k", 2)
     assert run.code == 0, run
     assert film_draws(out).joints.shape == (1, 12, 1, 15, 3)

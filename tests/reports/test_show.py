@@ -102,11 +102,24 @@ def test_the_image_says_its_size(tmp_path: Path) -> None:
     Image.new("RGB", (200, 200)).save(tmp_path / "a.png")
     (found,) = Detected(image=tmp_path / "a.png").people(tmp_path / "a.json")
     assert found.keypoints[JOINTS.index("right_wrist")] == pytest.approx([26, 80])
-    assert about_the_image(found, np.zeros((200, 200, 3), np.uint8)) == []
-    (said,) = about_the_image(found, np.zeros((400, 300, 3), np.uint8))
+    assert about_the_image(found, (200, 200)) == []
+    (said,) = about_the_image(found, (300, 400))
     assert said == "the detection was made on an image of 200x200 pixels, but this one has 300x400"
-    (said,) = about_the_image(person(), np.zeros((30, 30, 3), np.uint8))
-    assert re.match(r"\d+ of 14 joints lie outside the image: is it the right one", said)
+    (said,) = about_the_image(person(), (30, 30))
+    assert re.match(r"\d+ of 14 joints lie outside the image of 30x30: is it the", said)
+
+
+@pytest.mark.parametrize(("layout", "said"), [("skeleton_15", 1), ("mediapipe_33", 0)])
+def test_joints_outside_the_image_are_spoken_of(layout: str, said: int) -> None:
+    """Two that lie far outside, by a detector that finds none there: one, or near it, may stray."""
+    keypoints = np.full((15, 2), 50.0)
+    keypoints[:2] = 50.0, 130.0
+    seen = Detection(keypoints, np.ones(15), layout, "made here", 0)
+    assert len(about_the_image(seen, (100, 100))) == said
+    assert about_the_image(seen, (100, 130)) == []
+    keypoints[1] = 50.0
+    one = Detection(keypoints, np.ones(15), layout, "made here", 0)
+    assert about_the_image(one, (100, 100)) == []
 
 
 def test_a_map_of_names_and_the_correction(tmp_path: Path) -> None:

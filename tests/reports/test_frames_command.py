@@ -10,8 +10,11 @@ import pytest
 
 from poseterior.inference import draws_of, open_stream
 from poseterior.probmodel import Detection, PoseModel, write_detections
+from poseterior.probmodel.distance import farthest, nearest
 from poseterior.reports import figures
 from poseterior.reports.commands import frames
+from poseterior.reports.options import Detected
+from poseterior.reports.settings import FramesSettings
 from tests.conftest import Cli
 from tests.scenes import prior_scene
 
@@ -204,3 +207,16 @@ def test_refusals(poseterior: Cli, folder: Path, tmp_path: Path) -> None:
         assert run.code == 2, run
         assert said in run.err
         assert run.err.count("\n") == 1
+
+
+def test_all_frames_say_how_near_the_camera_was(tmp_path: Path) -> None:
+    """Who comes near in the last of twelve frames counts."""
+    far = prior_scene(PoseModel(), 0, factor=0.8).detection
+    near = dataclasses.replace(far, keypoints=3 * far.keypoints)
+    for index, detection in enumerate([far] * 11 + [near]):
+        write_detections(tmp_path / f"frame_{index}.json", [detection])
+    settings = FramesSettings(path=tmp_path, detected=Detected(image_size="640x480"))
+    lengths = settings.prior.anatomy().lengths
+    metres = nearest(frames._everyone(settings), settings.size, lengths)
+    assert metres == pytest.approx(farthest(near, (640, 480), lengths), rel=1e-6)
+    assert metres < farthest(far, (640, 480), lengths) / 2

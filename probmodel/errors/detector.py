@@ -172,8 +172,20 @@ class DetectorErrors:
             self.times.check()
 
     def worth(self, frames: int, rate: float) -> float:
-        """How many frames with errors of their own so many in succession are worth
-        (`ErrorTimes.worth`)."""
+        """How many frames with errors of their own so many in succession are worth.
+
+        Parameters
+        ----------
+        frames
+            How many.
+        rate
+            Of them in a second.
+
+        Returns
+        -------
+        float
+            As of `ErrorTimes.worth`; 1 where nobody knows how long errors last.
+        """
         return 1.0 if self.times is None else self.times.worth(frames, rate)
 
     @property

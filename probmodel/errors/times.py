@@ -8,8 +8,8 @@ from scipy.linalg import solve_toeplitz
 
 from poseterior.probmodel.failures import BadInput
 
-PARTS = ("constant", "slow", "quick")
-WITH_SE = (*PARTS, "seconds")
+PARTS_OF_ERRORS = ("constant", "slow", "quick")
+WITH_SE = (*PARTS_OF_ERRORS, "seconds")
 SHARES_SUM = 1e-6
 """By how much the sum of shares in a file may differ from one."""
 
@@ -67,10 +67,12 @@ class ErrorTimes(NamedTuple):
 
     def check(self) -> None:
         """Raises `BadInput` on numbers that are no times."""
-        shares = np.array(self[: len(PARTS)])
+        shares = np.array(self[: len(PARTS_OF_ERRORS)])
         if not (np.all(shares >= 0) and abs(shares.sum() - 1) <= SHARES_SUM):  # false for NaN too
             said = ", ".join(f"{share:g}" for share in shares)
-            raise BadInput(f"the times' {', '.join(PARTS)} must be shares with sum 1, not {said}")
+            raise BadInput(
+                f"the times' {', '.join(PARTS_OF_ERRORS)} must be shares with sum 1, not {said}"
+            )
         for name in ("seconds", "deviation", "longest", "rate"):
             if not 0 < getattr(self, name) < np.inf:
                 raise BadInput(

@@ -34,7 +34,7 @@ from poseterior.reports.tables import Sheet, sheet_of
 from poseterior.reports.tables.coverage import families_table, p_text
 from poseterior.reports.tables.words import spoken
 
-WHOLE_SIMULATIONS, CONTROLS = 1000, 50
+WHOLE_SIMULATIONS, CONTROLS = 1000, 100
 WHOLE_ROOTS, WHOLE_DRAWS, WHOLE_SEED = 300, 400, 7
 WHOLE_BUDGET = 30_000_000
 """Most proposals for a simulation."""

@@ -203,7 +203,7 @@ COMMANDS = {
 def test_a_wrong_size_for_fractions_is_doubted(
     shared_data: Path, tmp_path: Path, poseterior: Cli, command: str, size: str, doubted: bool
 ) -> None:
-    """A lunge, arms spread, as YOLO writes it, on an image that is said to be 16/9 times too
+    """Four lunges, arms spread, as YOLO writes them, on an image that is said to be 16/9 times too
     wide."""
     lunge = shared_data / "detections" / "mediapipe" / "pose_landmarks.pbtxt"
     (person,) = read_detections(lunge, image_size=(1000, 667))
@@ -211,7 +211,7 @@ def test_a_wrong_size_for_fractions_is_doubted(
     joints |= dict(zip(FACE, person.face[:, :2], strict=True))
     rows = [[*(joints[name] / (1000, 667)), 1.0] for name in COCO_17.points]
     line = " ".join(f"{number:.6f}" for number in np.ravel(rows))
-    (tmp_path / "a.txt").write_text(f"0 0.5 0.5 1 1 {line}\n")
+    (tmp_path / "a.txt").write_text(4 * f"0 0.5 0.5 1 1 {line}\n")
     out = tmp_path / {"show": "a.png", "sample": "a.nc"}.get(command, "out")
     words = ("--image-size", size, "--out", out, "--quiet")
     done = poseterior(*COMMANDS[command], tmp_path / "a.txt", *words)

@@ -94,9 +94,9 @@ def about_the_camera(
         return []
     if size is None:
         return [
-            "no one size of the image is known, and so nobody knows whether the camera was near:"
-            " within some three metres intervals are too narrow; give --image, its size, such as"
-            " --image-size 1920x1080, or --focal"
+            "it is not known how large the image is, or images differ in size, so that nobody can"
+            " tell whether the camera was near: within some three metres intervals are too narrow;"
+            " give --image, its size, such as --image-size 1920x1080, or --focal"
         ]
     if metres >= FAR_ENOUGH:
         return []

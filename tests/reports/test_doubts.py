@@ -60,7 +60,7 @@ def test_two_wrong_keypoints_say_nothing(model: PoseModel) -> None:
 SEEN_BY = [
     ("uncertain", None, 1.5, SIZE, 5, "the focal length is drawn with the rest"),
     ("uncertain", None, 8.0, SIZE, 0, None),
-    ("uncertain", None, 1.5, None, 0, "no one size of the image is known"),
+    ("uncertain", None, 1.5, None, 0, "not known how large the image is"),
     ("uncertain", "weak", 1.5, None, 0, None),
     ("uncertain", "weak", 1.5, SIZE, 0, None),
     ("uncertain", "unknown", 8.0, SIZE, 5, None),

@@ -240,12 +240,12 @@ class Prior:
         """The tables. Raises `BadInput` on a limits file that is not one."""
         return anatomy_of(self.limits)
 
-    def model(self, *, upright: float = 0.0, lens: "Lens | None" = None) -> "PoseModel":
-        """The model. Raises `BadInput` on a limits file, or a lens, that is not one."""
+    def model(self, *, upright: float = 0.0) -> "PoseModel":
+        """The model. Raises `BadInput` on a limits file that is not one."""
         from poseterior.probmodel import PoseModel
 
         return PoseModel.from_anatomy(
-            self.anatomy(), upper=self.upper, lower=self.lower, upright=upright, lens=lens
+            self.anatomy(), upper=self.upper, lower=self.lower, upright=upright
         )
 
 

@@ -53,8 +53,9 @@ def about_the_image(person: Detection, size: tuple[int, int] | None) -> list[str
 
 def size_is_open(person: Detection, detected: Detected) -> bool:
     """Whether the image's size is what the user says, and the joints lie where they do because of
-    it: MediaPipe's are fractions in any file, others' where they need a size."""
-    given = detected.image_size is not None and person.image_size is not None
+    it: MediaPipe's are fractions in any file, others' where they need a size; a file that says
+    another size itself has pixels."""
+    given = detected.image_size is not None and person.image_size == detected.size
     return given or person.layout == MEDIAPIPE_33.name
 
 

@@ -13,7 +13,6 @@ from poseterior.reports.options import (
     ROUTES,
     Detected,
     Person,
-    Prior,
     Viewing,
     draw_lenses,
 )
@@ -91,7 +90,7 @@ def about_the_camera(
     if viewing.focal is not None:
         lens = model.lens
         return [] if lens is None else _about_the_focal_length(lens, exif)
-    if not viewing.rooted:
+    if not viewing.asks_how_near:
         return []
     if size is None:
         return [
@@ -128,11 +127,7 @@ def _about_the_focal_length(lens: Lens, exif: float | None) -> list[str]:
 
 
 def about(
-    given: Person,
-    prior: Prior,
-    model: PoseModel,
-    viewing: Viewing,
-    samplers: Iterable[str] = ROUTES,
+    given: Person, model: PoseModel, viewing: Viewing, samplers: Iterable[str] = ROUTES
 ) -> list[str]:
     """All doubts about the image of one person of a file, of whose camera this is believed. Raises
     `BadInput` on a bad file."""
@@ -142,6 +137,6 @@ def about(
         *about_the_image(person, detected.size),
         *about_the_size(people, detected, model),
         *about_the_camera(
-            given.within(prior), given.size, model, viewing, detected.photo_focal, samplers
+            given.within(model), given.size, model, viewing, detected.photo_focal, samplers
         ),
     ]

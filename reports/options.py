@@ -373,11 +373,11 @@ class Person:
         """Width and height of the person's image, if anything says them."""
         return self.detected.size or self.detection.image_size
 
-    def within(self, prior: Prior) -> float:
+    def within(self, model: "PoseModel") -> float:
         """Metres within which the person stands, by how large the image is."""
         from poseterior.probmodel.distance import nearest
 
-        return nearest([self.detection], self.size, prior.anatomy().lengths)
+        return nearest([self.detection], self.size, model.lengths)
 
     def check(self) -> None:
         """Reads the file. Raises `BadInput` on a bad file, or where there is no such person."""
@@ -538,12 +538,17 @@ OF_ONE_VIEW = (
 """Options that calibrated cameras, which see one body, do not have."""
 
 
+def flag(name: str) -> str:
+    """What an option is called on the command line."""
+    return "--" + name.replace("_", "-")
+
+
 def require_meaning_in_views(given: Set[str]) -> None:
     """Raises `BadInput` where an option was given that is not of calibrated cameras."""
     for name in OF_ONE_VIEW:
         if name in given:
             raise BadInput(
-                f"--{name.replace('_', '-')} is not of calibrated cameras, which see one body in"
+                f"{flag(name)} is not of calibrated cameras, which see one body in"
                 " the world; leave it out"
             )
 
@@ -612,10 +617,9 @@ class Rooting:
         other = RootKind.fixed if self.rooted else RootKind.uncertain
         for name in ESTIMATED if self.rooted else ("roots", "most_roots"):
             if name in given:
-                option = "--" + name.replace("_", "-")
                 raise BadInput(
-                    f"{option} means nothing where torso and camera are {self.root}; leave it out,"
-                    f" or choose --root {other}"
+                    f"{flag(name)} means nothing where torso and camera are {self.root}; leave it"
+                    f" out, or choose --root {other}"
                 )
 
     def model(self, prior: Prior) -> "PoseModel":
@@ -644,29 +648,34 @@ class Viewing(Rooting):
         show_default="the image's centre",
     )
 
-    def model_seeing(
+    @property
+    def asks_how_near(self) -> bool:
+        """Whether it is the people's distance that says what is believed of the camera."""
+        return self.focal is None and self.rooted
+
+    def seen_by(
         self,
-        prior: Prior,
+        model: "PoseModel",
         metres: float,
         size: tuple[int, int] | None,
         exif: float | None = None,
         samplers: Iterable[str] = ROUTES,
     ) -> "PoseModel":
-        """As `model`, before the camera of images of this width and height and with this focal
-        length in their EXIF, if they are known, within so many `metres` of somebody; for
-        `samplers`, not all of which can draw a focal length. Raises `BadInput` also on a camera
-        that cannot be, or whose optical axis nobody knows."""
-        near = metres < FAR_ENOUGH and self.rooted and draw_lenses(samplers)
+        """A model before the camera of images of this width and height and with this focal length
+        in their EXIF, if they are known, within so many `metres` of somebody; for `samplers`, not
+        all of which can draw a focal length. Raises `BadInput` on a camera that cannot be, or whose
+        optical axis nobody knows."""
+        near = metres < FAR_ENOUGH and self.asks_how_near and draw_lenses(samplers)
         camera = CameraKind.unknown if near else CameraKind.weak
         said = camera if self.focal is None else self.focal
-        return self.model(prior).seen_by(self._lens(said, size, exif))
+        return model.seen_by(self._lens(said, size, exif))
 
     def model_of(
         self, prior: Prior, person: Person, samplers: Iterable[str] = ROUTES
     ) -> "PoseModel":
-        """As `model_seeing`, for the image of a person."""
-        exif = person.detected.photo_focal
-        return self.model_seeing(prior, person.within(prior), person.size, exif, samplers)
+        """As `model`, before the camera of a person's image."""
+        model, exif = self.model(prior), person.detected.photo_focal
+        return self.seen_by(model, person.within(model), person.size, exif, samplers)
 
     def _lens(self, said: str, size: tuple[int, int] | None, exif: float | None) -> "Lens | None":
         import numpy as np

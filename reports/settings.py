@@ -50,6 +50,7 @@ from poseterior.reports.options import (
     Viewing,
     WhoseFilm,
     Workforce,
+    flag,
     map_of_names,
     parse_cameras,
     require_meaning_in_views,
@@ -388,7 +389,7 @@ class FilmSettings(_ManyFrames):
         super().require_meaning(given)
         for name in sorted(given - OF_PATHS) if self.drawn_before else ():
             raise BadInput(
-                f"--{name.replace('_', '-')} is of what is drawn, and {self.path} has been drawn"
+                f"{flag(name)} is of what is drawn, and {self.path} has been drawn"
                 " already; leave it out"
             )
 
@@ -870,10 +871,9 @@ class CoverageSettings:
             way, unknown = "without --dataset", real
         for name in unknown:
             if name in given:
-                option = "--" + name.replace("_", "-")
                 raise BadInput(
-                    f"{option} means nothing {way}; leave it out, or choose another of the three"
-                    " ways in `poseterior coverage --help`"
+                    f"{flag(name)} means nothing {way}; leave it out, or choose another of the"
+                    " three ways in `poseterior coverage --help`"
                 )
 
 

@@ -38,6 +38,7 @@ def run(settings: CalibrateSettings, screen: Screen) -> None:
     if picture == out:
         raise BadInput(f"{out} would be overwritten by its own picture; name it NAME.json")
     console.output_file(picture)
+    times = times_of(settings)
     definitions = definitions_of(settings)
     pairs, truth = pairs_of(settings, definitions)
     with console.progress("fits", screen.quiet) as step:
@@ -47,7 +48,7 @@ def run(settings: CalibrateSettings, screen: Screen) -> None:
             truth=truth,
             about=settings.described(),
             definitions=definitions,
-            times=times_of(settings),
+            times=times,
             progress=step,
         )
     found.errors.write(out)

@@ -31,7 +31,7 @@ def run(settings: CompareSettings, screen: Screen) -> None:
     with console.progress("torso and camera", screen.quiet):
         model = settings.rooting.model_of(settings.prior, settings.person, samplers)
         frame = settings.estimation.estimate(settings.person.detection, model)
-        warnings = doubts.about(settings.person, settings.prior, model, settings.rooting, samplers)
+        warnings = doubts.about(settings.person, model, settings.rooting, samplers)
     kept = ", runs" if {*samplers} & {*BASELINES} else ""
     found = routes.compare(
         model,

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.filesize import decimal
 
 from poseterior.inference.footage import Item
@@ -48,11 +49,15 @@ def draw(
         return [], _draw_session(settings, out, screen)
     with console.progress("limits and torsos", screen.quiet):
         size, exif, viewing = settings.size, settings.detected.photo_focal, settings.rooting
-        metres = nearest(_everyone(settings), size, settings.prior.anatomy().lengths)
-        model = viewing.model_seeing(settings.prior, metres, size, exif)
+        model, metres = viewing.model(settings.prior), np.inf
+        if viewing.asks_how_near:
+            metres = nearest(_everyone(settings), size, model.lengths)
+        model = viewing.seen_by(model, metres, size, exif)
         first = list(itertools.islice(_everyone(settings), doubts.MOST_PEOPLE))
+        said = settings.detected.size
+        others = (one for person in first for one in doubts.about_the_image(person, said))
         warnings = [
-            *itertools.islice(_of_the_image(first, settings.detected.size), 1),
+            *itertools.islice(others, 1),
             *doubts.about_the_size(first, settings.detected, model),
             *doubts.about_the_camera(metres, size, model, viewing, exif),
         ]
@@ -166,7 +171,3 @@ def show(settings: FramesSettings | FilmSettings, fragments: Sequence[str], scre
 def _everyone(settings: FramesSettings | FilmSettings) -> Iterator[Detection]:
     """Those by whom the size of all images, and how near the camera was, is judged."""
     return (one for frame in settings.detected.frames(settings.path) for one in frame.people)
-
-
-def _of_the_image(people: Iterable[Detection], size: tuple[int, int] | None) -> Iterator[str]:
-    return (one for person in people for one in doubts.about_the_image(person, size))

@@ -43,7 +43,7 @@ def run(settings: HypothesesSettings, screen: Screen, *, truth: np.ndarray | Non
     with console.progress("torso and camera", screen.quiet):
         model = settings.rooting.model_of(settings.prior, settings.person)
         frame = settings.estimation.estimate(settings.person.detection, model)
-        warnings = doubts.about(settings.person, settings.prior, model, settings.rooting)
+        warnings = doubts.about(settings.person, model, settings.rooting)
     recalibrated = _recalibrated(settings.recalibrated) if settings.recalibrated else None
     out = console.output_folder(settings.out)
     task = "roots and their limbs" if settings.rooting.rooted else "exact draws"

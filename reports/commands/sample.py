@@ -33,7 +33,7 @@ def run(settings: SampleSettings, screen: Screen) -> None:
     with console.progress("torso and camera", screen.quiet):
         model = settings.rooting.model_of(settings.prior, settings.person, [sampler])
         frame = settings.estimation.estimate(settings.person.detection, model)
-        warnings = doubts.about(settings.person, settings.prior, model, settings.rooting, [sampler])
+        warnings = doubts.about(settings.person, model, settings.rooting, [sampler])
     with console.progress(_task(settings, sampler), screen.quiet) as step:
         result = sample_to_file(
             out,

@@ -7,6 +7,7 @@ A thousand simulations from the model itself before each camera, about half an h
 each; `work` keeps what is done, and a run that was stopped goes on there.
 """
 
+import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -44,11 +45,15 @@ LENS = Lens.unknown(1920.0, np.array([960.0, 540.0]))
 WEAK, UNKNOWN, BLIND = "weak perspective", "focal length unknown", "unknown, believed weak"
 
 
+@functools.cache
+def _weakly() -> Sampler:
+    return independent_roots(PoseModel(), WHOLE_DRAWS, WHOLE_ROOTS, max_proposals=WHOLE_BUDGET)
+
+
 def blind(index: int, instance: Instance, key: jax.Array) -> Answer:
     """The control: draws under weak perspective of what a lens saw, which are then said to be of
     its middle focal length."""
-    draw = independent_roots(PoseModel(), WHOLE_DRAWS, WHOLE_ROOTS, max_proposals=WHOLE_BUDGET)
-    answer = draw(index, instance, key)
+    answer = _weakly()(index, instance, key)
     assert answer.points is not None
     middle = np.full(len(answer.joints), LENS.number // 2)
     return answer._replace(points=answer.points._replace(lens=middle))

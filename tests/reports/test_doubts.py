@@ -17,7 +17,7 @@ from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.skeleton import BONES, NUM_JOINTS
 from poseterior.reports.doubts import about_the_camera
 from poseterior.reports.figures.files import photo_focal
-from poseterior.reports.options import FAR_ENOUGH, Prior, RootKind, Viewing
+from poseterior.reports.options import FAR_ENOUGH, RootKind, Viewing
 
 SIZE = (1080, 1920)
 
@@ -84,7 +84,7 @@ def test_the_camera_is_unknown_where_people_are_near(
     people = [person(model, metres)]
     viewing = Viewing(root=RootKind(root), focal=focal)
     within = nearest(people, size, model.lengths)
-    seen_by = viewing.model_seeing(Prior(), within, size)
+    seen_by = viewing.seen_by(model, within, size)
     assert (0 if seen_by.lens is None else seen_by.lens.number) == number
     sentences = about_the_camera(within, size, seen_by, viewing)
     assert [said is not None and said in one for one in sentences] == [True] * (said is not None)
@@ -101,7 +101,7 @@ def test_the_camera_is_unknown_where_people_are_near(
 def test_samplers_that_cannot_draw_a_focal_length_get_none(
     model: PoseModel, samplers: list[str], number: int, said: str
 ) -> None:
-    seen_by = Viewing().model_seeing(Prior(), 1.5, SIZE, None, samplers)
+    seen_by = Viewing().seen_by(model, 1.5, SIZE, None, samplers)
     assert (0 if seen_by.lens is None else seen_by.lens.number) == number
     (sentence,) = about_the_camera(1.5, SIZE, seen_by, Viewing(), None, samplers)
     assert said in sentence
@@ -122,13 +122,15 @@ def test_one_person_says_whether_the_camera_is_near(model: PoseModel) -> None:
         ({"focal": "unknown", "root": RootKind.fixed}, "leave --root fixed out"),
     ],
 )
-def test_what_cannot_be_said_of_a_camera(viewing: dict[str, Any], said: str) -> None:
+def test_what_cannot_be_said_of_a_camera(
+    model: PoseModel, viewing: dict[str, Any], said: str
+) -> None:
     with pytest.raises(BadInput, match=said):
-        Viewing(**viewing).model_seeing(Prior(), 8.0, SIZE)
+        Viewing(**viewing).seen_by(model, 8.0, SIZE)
 
 
-def test_an_optical_axis_is_taken_where_the_focal_length_is_drawn() -> None:
-    lens = Viewing(principal="500,900").model_seeing(Prior(), 1.5, SIZE).lens
+def test_an_optical_axis_is_taken_where_the_focal_length_is_drawn(model: PoseModel) -> None:
+    lens = Viewing(principal="500,900").seen_by(model, 1.5, SIZE).lens
     assert lens is not None
     np.testing.assert_array_equal(lens.principal, [500.0, 900.0])
 
@@ -166,11 +168,11 @@ def test_a_photo_that_says_none(tmp_path: Path, says: object) -> None:
 
 
 def test_the_lens_of_a_photo(model: PoseModel) -> None:
-    lens = Viewing(focal="exif").model_seeing(Prior(), np.inf, (600, 400), 500.0).lens
+    lens = Viewing(focal="exif").seen_by(model, np.inf, (600, 400), 500.0).lens
     assert lens is not None
     assert (float(lens.focal), lens.principal.tolist()) == (500.0, [300.0, 200.0])
     with pytest.raises(BadInput, match="whose EXIF says FocalLengthIn35mmFilm"):
-        Viewing(focal="exif").model_seeing(Prior(), np.inf, (600, 400))
+        Viewing(focal="exif").seen_by(model, np.inf, (600, 400))
 
 
 def test_another_focal_length_than_the_photos_is_doubted(model: PoseModel) -> None:

@@ -886,16 +886,20 @@ class CoverageJudgeSettings:
     quantities), sbi's `posterior_samples` and `thetas`, bayesflow's dictionaries as
     `estimates.NAME` and `targets.NAME`, or a tree (netCDF4, Zarr) with the groups `posterior` and
     `truth`. `covariates` say where to look; `weights`, `log_weights` and log densities are taken as
-    they are. A coverage.nc of `poseterior coverage` can be judged too."""
+    they are. A coverage.nc of `poseterior coverage` can be judged too, several of them together."""
 
     EXAMPLES: ClassVar[tuple[str, ...]] = (
         "coverage judge mine.npz --out judged",
         "coverage judge mine.nc --circular heading --recalibrate wider.json --by score",
         "coverage judge network.npz mcmc.npz --json",
+        "coverage judge openpose/coverage.nc mediapipe/coverage.nc --together",
     )
     files: Annotated[list[Path], Argument(help="Draws and truths.", show_default=False)]
     out: Path | None = option(
         None, "Folder for NAME.nc and NAME.png of each file.", show_default="none"
+    )
+    together: bool = option(
+        False, "The files, of `coverage`, are one, and which of them a covariate: detectors, say."
     )
     circular: list[str] | None = option(
         None, "A quantity that is an angle, in radians; may be repeated.", show_default="none"
@@ -915,8 +919,18 @@ class CoverageJudgeSettings:
             raise BadInput("--by means nothing without --recalibrate; give that, or leave it out")
         if self.recalibrate and len(self.files) > 1:
             raise BadInput(f"--recalibrate is of one file, not of {len(self.files)}")
-        if len({path.stem for path in self.files}) < len(self.files):
+        if self.together and len(self.files) == 1:
+            raise BadInput("--together means nothing for one file; give more, or leave it out")
+        if len(self.named) < len(self.files):
             raise BadInput("two of the files have one name; results are named by it")
+
+    @property
+    def named(self) -> dict[str, Path]:
+        """The files by what results of them are called: their own names, or, where these are not
+        different, with the names of their folders."""
+        if len({path.stem for path in self.files}) == len(self.files):
+            return {path.stem: path for path in self.files}
+        return {f"{path.resolve().parent.name}-{path.stem}": path for path in self.files}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ from poseterior.probmodel.skeleton import JOINT_INDEX
 from tests.conftest import SHARED, Cli
 from tests.filmed import filmed, moving, write_session
 from tests.probmodel.test_formats_fuzz import deeplabcut_rows, landmarks, npy, table
+from tests.reports.test_judge_command import write_coverage
 from tests.test_snippets import Snippet, run
 
 ROOT = Path(__file__).parents[1]
@@ -70,6 +71,8 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "points.npy").write_bytes(npy(coco(person)[None]))
     session = filmed(moving(3), np.random.default_rng(0).normal(0, 8, (4, 3, 15, 2)))
     write_session(dataclasses.replace(session, numbers=(19, 20, 21)), tmp_path / "session")
+    for detector in ("openpose", "mediapipe"):
+        write_coverage(tmp_path / detector / "coverage.nc", detector)
     if SHARED.is_dir():
         shutil.copy(SHARED / "bvh" / "cmu_131_03.bvh", tmp_path / "walk.bvh")
     return tmp_path

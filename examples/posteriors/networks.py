@@ -1,13 +1,15 @@
-"""Draws of a network of the two moons (NPE of sbi 0.27, a spline flow) beside truths, as files
-that `poseterior coverage judge` reads.
+"""Draws of a network of a task (NPE of sbi 0.27, a spline flow) beside truths, as files that
+`poseterior coverage judge` reads.
 
-    python examples/posteriors/networks.py 300 3 two_moons_barely_trained.npz
-    python examples/posteriors/networks.py 5000 50 two_moons_trained.npz
+    python examples/posteriors/networks.py two_moons 300 3 two_moons_barely_trained.npz
+    python examples/posteriors/networks.py two_moons 5000 50 two_moons_trained.npz
+    python examples/posteriors/networks.py slcp 30000 150 slcp_trained.npz
 
-Simulations to learn from, most epochs, file. Needs sbi and PyTorch."""
+Task, simulations to learn from, most epochs, file. Needs sbi and PyTorch."""
 
 import json
 import sys
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,27 +17,29 @@ import numpy as np
 import torch
 from sbi.inference import NPE
 from sbi.utils import BoxUniform
-from two_moons import NAMES, simulated
 
 SEED = 49
 INSTANCES = 150
 DRAWS = 100
+AT_ONCE = 100
+"""Of which those outside the prior are rejected."""
 QUIET = {"show_progress_bars": False}
 
 
-def main(simulations: int, epochs: int, path: Path) -> None:
+def main(task: str, simulations: int, epochs: int, path: Path) -> None:
     """Trains, draws, and writes draws, truths, log densities of the network, and what was seen."""
+    of = import_module(task)
     rng = np.random.default_rng(SEED)
     torch.manual_seed(SEED)
-    truth, seen = simulated(INSTANCES, rng)
-    edge = torch.ones(2)
+    truth, seen = of.simulated(INSTANCES, rng)
+    edge = of.EDGE * torch.ones(len(of.NAMES))
     network = NPE(BoxUniform(-edge, edge), density_estimator="nsf", **QUIET)
-    network.append_simulations(*map(_tensor, simulated(simulations, rng)))
+    network.append_simulations(*map(_tensor, of.simulated(simulations, rng)))
     network.train(max_num_epochs=epochs)
     posterior = network.build_posterior()
     draws = np.stack(
         [
-            posterior.sample((DRAWS,), x=one, max_sampling_batch_size=DRAWS, **QUIET).numpy()
+            posterior.sample((DRAWS,), x=one, max_sampling_batch_size=AT_ONCE, **QUIET).numpy()
             for one in _tensor(seen)
         ]
     )
@@ -58,11 +62,11 @@ def main(simulations: int, epochs: int, path: Path) -> None:
         path,
         draws=draws.astype(np.float32),
         truth=truth.astype(np.float32),
-        names=np.array(NAMES),
+        names=np.array(of.NAMES),
         log_density_truth=density[:, 0],
         log_density=density[:, 1:],
         covariates=seen.astype(np.float32),
-        covariate_names=np.array(["seen 0", "seen 1"]),
+        covariate_names=np.array(of.SEEN),
         made=np.array(json.dumps(made)),
     )
 
@@ -72,5 +76,5 @@ def _tensor(values: np.ndarray) -> torch.Tensor:
 
 
 if __name__ == "__main__":
-    simulations, epochs, path = sys.argv[1:]
-    main(int(simulations), int(epochs), Path(path))
+    task, simulations, epochs, path = sys.argv[1:]
+    main(task, int(simulations), int(epochs), Path(path))

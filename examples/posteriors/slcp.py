@@ -12,6 +12,7 @@ logarithms of their standard deviations, and the inverse hyperbolic tangent of t
 import numpy as np
 
 POINTS, EDGE = 4, 3.0
+NAMES = ("middle across", "middle up", "root across", "root up", "angle")
 SEEN = ("across", "up", "spread across", "spread up", "slant")
 FREEDOM = 2.5
 """Of the inverse Wishart law: the prior has the density ``|S|^(-5/4) (1 - r^2)^(1/4)`` in the

@@ -7,7 +7,7 @@ Two parameters are uniform from -1 to 1."""
 
 import numpy as np
 
-NAMES = ("first", "second")
+NAMES, SEEN, EDGE = ("first", "second"), ("seen 0", "seen 1"), 1.0
 RADIUS, SPREAD, AHEAD = 0.1, 0.01, 0.25
 """Of the crescent: its normal radius, and how far ahead its centre lies."""
 Rng = np.random.Generator
@@ -15,7 +15,7 @@ Rng = np.random.Generator
 
 def simulated(number: int, rng: Rng) -> tuple[np.ndarray, np.ndarray]:
     """Parameters `(number, 2)` of the prior, and data `(number, 2)` of each."""
-    parameters = rng.uniform(-1, 1, (number, 2))
+    parameters = rng.uniform(-EDGE, EDGE, (number, 2))
     return parameters, _turned(parameters) + _crescent(number, rng)
 
 
@@ -39,7 +39,7 @@ def exact_moons(seen: np.ndarray, number: int, rng: Rng) -> np.ndarray:
         size, across = (seen - _crescent(4 * number, rng)).T
         signed = rng.choice([-1, 1], len(size)) * size
         parameters = np.stack([signed - across, signed + across], axis=1) / np.sqrt(2)
-        kept = (size <= 0) & (np.abs(parameters) <= 1).all(axis=1)
+        kept = (size <= 0) & (np.abs(parameters) <= EDGE).all(axis=1)
         found = np.concatenate([found, parameters[kept]])
     return found[:number]
 

@@ -9,13 +9,15 @@ axis; with one it is along the optical axis.
 
 import contextlib
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
+import xarray as xr
 
 from poseterior import inference
+from poseterior.inference.studies.calibration.record import seen_columns
 from poseterior.probmodel import Estimate, Likelihood, PoseModel
 from poseterior.probmodel.body import bone_lengths
 from poseterior.probmodel.datasets.person_views import PersonView
@@ -23,7 +25,7 @@ from poseterior.probmodel.failures import BadInput
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.rows import evenly
 from poseterior.probmodel.sessions.session import turn_to_sight
-from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, NUM_JOINTS
+from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, JOINTS, NUM_JOINTS
 
 MIDDLES = {
     "hips": [JOINT_INDEX["right_hip"], JOINT_INDEX["left_hip"]],
@@ -248,6 +250,31 @@ def honesty(views: Sequence[PersonView], judged: Sequence[ViewLevels]) -> Honest
             len(people),
             sum(not one.any() for one in some),
         )
+
+
+def levels_tree(
+    views: Sequence[PersonView], about: Mapping[str, Sequence[ViewLevels]]
+) -> xr.DataTree:
+    """What `coverage judge` reads: levels of the coordinates about each midpoint, as far as truths
+    are known, and what was seen of every view."""
+    limbs = list(JUDGED)
+    level = np.stack([[one.level[limbs] for one in some] for some in about.values()], axis=1)
+    names = [
+        f"{JOINTS[joint]} {axis} about the {middle}"
+        for middle in about
+        for joint in limbs
+        for axis in "xyz"
+    ]
+    table = {
+        "level": (("simulation", "quantity"), level.reshape(len(views), -1)),
+        "person": ("simulation", np.array([view.person for view in views])),
+    }
+    seen = seen_columns([view.detection for view in views])
+    groups = {
+        "simulation": xr.Dataset(table, coords={"quantity": names}),
+        "covariates": xr.Dataset({name: ("simulation", one) for name, one in seen.items()}),
+    }
+    return xr.DataTree.from_dict(groups)
 
 
 def inside(level: np.ndarray, nominal: float) -> np.ndarray:

@@ -12,7 +12,7 @@ from poseterior.reports.figures.coverage import ranks_band
 from poseterior.reports.figures.style import INK, LEGEND, SMALL, TITLE, page, tidy
 from poseterior.reports.tables.judging import worst
 
-MOST_PANELS = 5
+MOST_PANELS = 6
 
 
 def judged_figure(found: Judged) -> Figure:
@@ -60,6 +60,7 @@ def _curve(axes: Axes, found: Judged, covariate: str) -> None:
         colour = PALETTE[number]
         axes.axhline(nominal, color=INK, lw=0.6, ls="--")
         axes.fill_between(places, one.low, one.high, color=colour, alpha=0.2, lw=0)
+        axes.vlines(places, one.low, one.high, color=colour, lw=0.6)
         axes.plot(
             places, one.share, "o-", color=colour, ms=3, lw=1.1, gid=f"held {nominal:g} {covariate}"
         )

@@ -1,7 +1,7 @@
 """Writes reports/judging.md: which test of coverage notices which wrong posterior, ours and those
 of others.
 
-    python -m poseterior.reports.pages.judging ../shared/data work
+    python -m poseterior.reports.pages.judging work
 
 The tests of sbi, bayesflow and pqm need these installed; what was kept in the folder, a file a
 try, is there when the page is made again without them."""
@@ -15,8 +15,7 @@ import numpy as np
 from poseterior.inference.studies.judging.judge import judge_coverage
 from poseterior.inference.studies.judging.where import share_held
 from poseterior.inference.studies.judging.wrong import WRONGS, Instances, told
-from poseterior.reports.pages.page import Data, Page, Work, kept_json, run
-from poseterior.reports.pages.recalibrated import COVERED_DRAWS, on_ours
+from poseterior.reports.pages.page import Page, Work, kept_json, run
 from poseterior.reports.tables.coverage import share
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
@@ -33,9 +32,8 @@ Tried = dict[str, dict[str, bool]]
 """By posterior and test, whether it rejected."""
 
 
-def main(data: Data, work: Work) -> Page:
+def main(work: Work) -> Page:
     accused = kept_json(work / "right.json", accusations)
-    ours = on_ours(data, work)
     return Page(
         "judging",
         {
@@ -47,11 +45,6 @@ def main(data: Data, work: Work) -> Page:
             "accused": accused,
             "accused_share": _said([*[True] * accused, *[False] * (SEEDS - accused)]),
             "seeds": SEEDS,
-            "covered_draws": COVERED_DRAWS,
-            "on_ours": ours.held,
-            "recalibrated": ours.recalibrated,
-            "people": ours.people,
-            "poses": ours.poses,
         },
     )
 

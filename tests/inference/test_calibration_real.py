@@ -59,6 +59,7 @@ from poseterior.inference.studies.calibration.run import cover, stand
 from poseterior.inference.studies.calibration.simulations import Instance
 from poseterior.inference.studies.intervals import resampled
 from poseterior.inference.studies.judging.files import read_judged
+from poseterior.inference.studies.judging.judge import judge_levels
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.camera import Lens, WeakPerspective
 from poseterior.probmodel.datasets import Case
@@ -419,19 +420,26 @@ def test_a_posterior_that_is_not_complete_is_not_without_draws() -> None:
     assert found.depth == pytest.approx(150)
 
 
-def test_covariates_are_those_of_the_instances_that_were_judged(tmp_path: Path) -> None:
+def test_instances_that_failed_count_against_a_verdict(tmp_path: Path) -> None:
+    """One of three has no level: a third failed, whatever the others say."""
     known = Standing(COMPLETE, "", level=np.full(len(QUANTITIES), 0.5), nearest_limit=3.0)
     standings = [known, Standing(FAILED, "no draws"), known._replace(nearest_limit=4.0)]
     columns = {"hidden": np.array([1, 2, 1]), "score": np.array([0.5, 0.6, 0.7])}
-    save_tree(standings_tree(standings, {}, columns), tmp_path / "coverage.nc")
+    save_tree(standings_tree(20 * standings, {}, _often(columns, 20)), tmp_path / "coverage.nc")
     found = read_judged(tmp_path / "coverage.nc")
     assert isinstance(found, tuple)
     level, covariates = found
-    assert level.simulation.values.tolist() == [0, 2]
-    assert {name: column.tolist() for name, column in covariates.items()} == {
-        "score": [0.5, 0.7],
-        "nearest_limit": [3.0, 4.0],
-    }
+    assert np.isfinite(level.values).any(axis=1).tolist() == 20 * [True, False, True]
+    assert covariates["score"].tolist() == 20 * [0.5, 0.6, 0.7]
+    assert covariates["nearest_limit"][[0, 2]].tolist() == [3.0, 4.0]
+    judged = judge_levels(level, covariates)
+    assert judged.calibration.tests.attrs["num_failed"] == 20
+    assert judged.map is not None  # "hidden" is 1 of all that were judged
+    assert judged.map.covariate.values.tolist() == ["score", "nearest_limit"]
+
+
+def _often(columns: dict[str, np.ndarray], times: int) -> dict[str, np.ndarray]:
+    return {name: np.tile(column, times) for name, column in columns.items()}
 
 
 def test_what_is_hidden_is_counted(cases: list[Case]) -> None:
@@ -439,6 +447,7 @@ def test_what_is_hidden_is_counted(cases: list[Case]) -> None:
         [case.hiding(missing).detection for case in cases[:1] for missing in (0, 3)]
     )
     assert np.diff(seen["hidden"]) == [3]
+    assert seen["detector"].tolist() == 2 * [cases[0].detection.layout]
 
 
 def test_detections_of_the_likelihood_stay_in_their_discs(

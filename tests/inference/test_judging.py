@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 import xarray as xr
 from scipy import stats
+from sklearn.neural_network import MLPClassifier
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
 from poseterior.inference.studies.calibration.uniformity import uniformity
 from poseterior.inference.studies.calibration.verdict import CALIBRATED, MISCALIBRATED
 from poseterior.inference.studies.judging import judge_coverage, recalibrate
-from poseterior.inference.studies.judging.files import read_brought
+from poseterior.inference.studies.judging.brought import Brought
+from poseterior.inference.studies.judging.files import joined, read_brought
 from poseterior.inference.studies.judging.judge import judge_brought, judge_levels
 from poseterior.inference.studies.judging.repair import read_recalibration
 from poseterior.inference.studies.judging.where import leaves_of, locally
@@ -132,6 +136,65 @@ def test_the_test_of_where_holds_its_level_whatever_quantities_do_together() -> 
         columns = {"x": rng.normal(size=60), "kind": rng.choice(["a", "b"], 60)}
         rejected += locally(table, columns, seed).p_value <= 0.2
     assert stats.binomtest(rejected, 100, 0.2).pvalue > RARE
+
+
+def partly_known(seed: int, wrong: bool) -> float:
+    """The p-value of where, of three quantities each of which a third of 200 instances does not
+    know; the first, if `wrong`, too narrow where x is positive."""
+    rng = np.random.default_rng([12, seed])
+    level, x = rng.uniform(size=(200, 3)), rng.normal(size=200)
+    if wrong:
+        off = 2 * level[:, 0] - 1
+        level[:, 0] = np.where(x > 0, (1 + np.sign(off) * np.abs(off) ** 0.2) / 2, level[:, 0])
+    level[rng.uniform(size=level.shape) < 1 / 3] = np.nan
+    table = xr.DataArray(level, dims=("simulation", "quantity"), coords={"quantity": [*"abc"]})
+    return locally(table, {"x": x}, seed).p_value
+
+
+def test_levels_that_are_known_in_part_are_compared_with_those_that_are_known() -> None:
+    """60 tables: rejections at 0.2 are binomial, and what is wrong in a half is found in each."""
+    rejected = sum(partly_known(seed, False) <= 0.2 for seed in range(60))
+    assert stats.binomtest(rejected, 60, 0.2).pvalue > RARE
+    assert max(partly_known(seed, True) for seed in range(5)) <= 0.005
+
+
+def test_what_nobody_knows_of_a_part_is_not_compared() -> None:
+    """Of b nothing is known where x is positive, of a everything: the part has no b to name."""
+    rng = np.random.default_rng(13)
+    x = rng.normal(size=100)
+    level = rng.uniform(size=(100, 2))
+    level[x > 0, 1] = np.nan
+    table = xr.DataArray(level, dims=("simulation", "quantity"), coords={"quantity": [*"ab"]})
+    sign = np.where(x > 0, "up", "down")
+    assert locally(table, {"sign": sign}).quantity == "a"
+
+
+def test_files_of_coverage_are_judged_as_one_that_knows_them_apart() -> None:
+    """A width that is right on average over two detectors, and of neither."""
+    rng = np.random.default_rng(14)
+    off = 2 * rng.uniform(size=(2, 150)) - 1
+    parts = {}
+    for name, own, power in zip(("one", "other"), off, (0.5, 2.0), strict=True):
+        level = (1 + np.sign(own) * np.abs(own) ** power)[:, None] / 2
+        table = xr.DataArray(level, dims=("simulation", "quantity"), coords={"quantity": ["a"]})
+        parts[name] = table, {"detector": np.repeat(name.upper(), 150), name: np.arange(150)}
+    level, columns = joined(parts)
+    assert level.simulation.values.tolist() == list(range(300))
+    assert list(columns) == ["detector", "file"]
+    found = judge_levels(level, columns)
+    assert found.verdict == MISCALIBRATED
+    assert found.local is not None
+    assert found.local.leaf.words in ("detector is ONE", "detector is OTHER")
+
+
+def test_what_has_nothing_in_common_is_not_judged_as_one() -> None:
+    case = told("right", 30, 20, np.random.default_rng(8))
+    level = xr.DataArray(case.truth, dims=("simulation", "quantity"), coords={"quantity": [*"abc"]})
+    other = level.assign_coords(quantity=[*"def"])
+    with pytest.raises(BadInput, match="one and other have no quantity in common"):
+        joined({"one": (level, {}), "other": (other, {})})
+    with pytest.raises(BadInput, match="mine has draws; only what `coverage` wrote"):
+        joined({"one": (level, {}), "mine": Brought.of(case.draws, case.truth)})
 
 
 def test_leaves_are_of_words_numbers_and_both() -> None:
@@ -293,15 +356,44 @@ def test_exact_moons_follow_their_density(moons: Any) -> None:
         ("two_moons_trained", MISCALIBRATED),
         ("two_moons_nested", CALIBRATED),
         ("slcp_barely_trained", MISCALIBRATED),
+        ("slcp_trained", CALIBRATED),
     ],
 )
 def test_others_posteriors_are_judged(name: str, verdict: str) -> None:
     """Networks of sbi, of which the better one is wrong by its log density alone, weighted draws of
-    dynesty, and a network of bayesflow that hardly looks at what is seen."""
+    dynesty, a network of bayesflow that hardly looks at what is seen, and one of sbi that does."""
     found = judge_brought(read_brought(POSTERIORS / f"{name}.npz"))
     assert found.verdict == verdict
     by_ranks = found.calibration.families["ranks (SBC)"] < 0.01
     assert by_ranks is (name == "two_moons_barely_trained")
+
+
+@pytest.mark.slow
+def test_a_well_trained_network_is_nearly_right(beside: Callable[[str], Any]) -> None:
+    """A classifier that learns from 100 instances tells the network's draws of SLCP from exact ones
+    in 55 % of 50 others, exact ones from exact ones in 50 %."""
+    slcp = beside("slcp")
+    brought = read_brought(POSTERIORS / "slcp_trained.npz")
+    seen = np.stack([brought.covariates[name] for name in slcp.SEEN], axis=1).astype(float)
+    rng = np.random.default_rng(0)
+    exact, again = (np.stack([slcp.exact_slcp(one, 100, rng) for one in seen]) for _ in range(2))
+
+    def told_apart(draws: np.ndarray) -> float:
+        x = []
+        for one in (draws, exact):
+            folded = one.copy()
+            folded[..., 2:4] = np.abs(folded[..., 2:4])  # either sign will do
+            off = (folded - exact.mean(axis=1, keepdims=True)) / exact.std(axis=1, keepdims=True)
+            x.append(np.concatenate([folded, off, np.repeat(seen[:, None], 100, axis=1)], axis=2))
+        table = np.stack(x).reshape(2, len(seen), 100, -1)
+        learned, judged = (table[:, part].reshape(-1, 15) for part in (slice(100), slice(100, 150)))
+        which = [np.repeat([0, 1], len(part) // 2) for part in (learned, judged)]
+        network = MLPClassifier((64, 64), max_iter=60, random_state=0, early_stopping=True)
+        scaled = make_pipeline(StandardScaler(), network).fit(learned, which[0])
+        return float(scaled.score(judged, which[1]))
+
+    assert told_apart(np.asarray(brought.draws, float)) == pytest.approx(0.55, abs=0.02)
+    assert told_apart(again) == pytest.approx(0.5, abs=0.015)  # three standard errors
 
 
 def test_exact_draws_of_slcp_are_calibrated(

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from poseterior.inference.studies.person_views import ViewLevels, honesty
+from poseterior.inference.results import save_tree
+from poseterior.inference.studies.judging.files import read_judged
+from poseterior.inference.studies.person_views import JUDGED, ViewLevels, honesty, levels_tree
 from poseterior.probmodel import BadInput
 from poseterior.probmodel.datasets.person_views import is_person_views, read_person_views
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
@@ -99,6 +101,25 @@ def test_intervals_are_counted_by_hand(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.error, 30.0)
     assert (found.views, found.people, found.silent) == (2, 2, 0)
     np.testing.assert_allclose([found.low, found.high], [np.zeros((2, 3)), np.ones((2, 3))])
+
+
+def test_levels_of_views_are_named_by_joint_axis_and_middle(tmp_path: Path) -> None:
+    """A view's row has its levels by joint and axis about each middle, and what was seen."""
+    views = read_person_views(written(tmp_path))
+    level = np.arange(len(JOINTS) * 3).reshape(-1, 3) / 100.0
+    width = np.zeros((2, len(JOINTS), 3))
+    one = ViewLevels(level, width, level)
+    nothing = ViewLevels(np.full_like(level, np.nan), width, level)
+    tree = levels_tree(views, {"hips": [one, nothing], "shoulders": [nothing, nothing]})
+    save_tree(tree, tmp_path / "coverage.nc")
+    found = read_judged(tmp_path / "coverage.nc")
+    assert isinstance(found, tuple)
+    table, columns = found
+    knee = JOINT_INDEX["left_knee"]
+    assert table.sel(quantity="left_knee z about the hips").values[0] == level[knee, 2]
+    assert np.isfinite(table.values).sum() == 3 * len(JUDGED)
+    assert columns["detector"].tolist() == [view.detection.layout for view in views]
+    assert tree["simulation"].person.values.tolist() == ["0 0", "0 1"]
 
 
 @pytest.mark.slow

@@ -57,11 +57,39 @@ def test_others_files_are_judged_together(poseterior: Cli) -> None:
     assert [found[one]["verdict"] for one in names] == ["calibrated", "miscalibrated"]
 
 
+def write_coverage(path: Path, detector: str) -> None:
+    """A coverage.nc of sixty people who were seen by a detector."""
+    level = np.random.default_rng(len(detector)).uniform(size=(60, 2))
+    groups = {
+        "simulation": xr.Dataset(
+            {"level": (("simulation", "quantity"), level)}, coords={"quantity": ["x", "y"]}
+        ),
+        "covariates": xr.Dataset({"detector": ("simulation", np.repeat(detector, 60))}),
+    }
+    path.parent.mkdir()
+    xr.DataTree.from_dict(groups).to_netcdf(path)
+
+
+def test_files_of_one_name_are_told_by_their_folders(poseterior: Cli, tmp_path: Path) -> None:
+    for name in ("openpose", "mediapipe"):
+        write_coverage(tmp_path / name / "coverage.nc", name)
+    files = [tmp_path / name / "coverage.nc" for name in ("openpose", "mediapipe")]
+    run = poseterior("coverage", "judge", *files, "--json")
+    assert list(json.loads(run.out)) == ["openpose-coverage", "mediapipe-coverage"], run.err
+    run = poseterior("coverage", "judge", *files, "--together", "--out", tmp_path / "judged")
+    assert run.code == 0, run.err
+    assert "detector" in run.out
+    assert "mediapipe" in run.out
+    with xr.open_datatree(tmp_path / "judged" / "together.nc") as tree:
+        assert tree.attrs["source"] == "openpose-coverage, mediapipe-coverage"
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["--by", "u"], "--by means nothing without --recalibrate"),
         (["--recalibrate", "r.json", "--by", "x"], "has no covariate x; known are: u, v, w"),
+        (["--together"], "--together means nothing for one file; give more, or leave it out"),
         (["--circular", "heading"], "heading shall be circular and is no quantity"),
     ],
 )

@@ -59,6 +59,7 @@ def test_there_are_pages() -> None:
         "samplers",
         "speed",
         "strangers",
+        "where",
         "whole",
     ]
 

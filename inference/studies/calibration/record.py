@@ -38,7 +38,9 @@ from poseterior.probmodel.skeleton import (
 SEEN_OF = ("shoulders", "forearms", "shins", "score", "hidden")
 """How long shoulders, the shorter forearm and the shorter shin look beside the torso, the least
 score of a joint seen, and how many joints are not."""
-COVARIATES = (*SEEN_OF, "nearest_limit")
+DETECTOR = "detector"
+"""Whose points they are, by the name of their layout."""
+COVARIATES = (DETECTOR, *SEEN_OF, "nearest_limit")
 JOINTWISE = ("whole", "lateral", "depth", "spread_lateral", "spread_depth")
 SCALARS = ("status", "sentence", "num_draws", "log_evidence", "nearest_limit")
 
@@ -113,9 +115,10 @@ def case_columns(
 
 
 def seen_columns(detections: Sequence[Detection]) -> dict[str, np.ndarray]:
-    """What is seen of people, by the names of `SEEN_OF`."""
+    """What is seen of people, by the names of `DETECTOR` and `SEEN_OF`."""
     seen = [as_seen(detection) for detection in detections]
-    return {name: np.array([one[name] for one in seen]) for name in SEEN_OF}
+    found = {name: np.array([one[name] for one in seen]) for name in SEEN_OF}
+    return {DETECTOR: np.array([detection.layout for detection in detections])} | found
 
 
 def as_seen(detection: Detection) -> dict[str, float]:

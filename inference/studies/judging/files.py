@@ -28,6 +28,8 @@ _ADVICE = (
 DRAWS, TRUTH = ("draws", "posterior_samples"), ("truth", "thetas")
 """Ours, then sbi's, whose draws come first."""
 COVARIATES_GROUP = "covariates"
+WHICH_FILE = "file"
+"""The covariate that says from which of several files an instance is."""
 CHAINS = ("chain", "draw")
 IN_BLOCK = 64
 """Instances that are read from a tree at a time."""
@@ -74,21 +76,45 @@ def read_brought(path: Path, circular: tuple[str, ...] = ()) -> Brought:
     return _of_tables(read_tables(path, _WHAT, _ADVICE), path, circular)
 
 
-def read_judged(
-    path: Path, circular: tuple[str, ...] = ()
-) -> Brought | tuple[xr.DataArray, dict[str, np.ndarray]]:
-    """As `read_brought`; of a coverage.nc, whose draws are gone, levels and covariates of those
-    that were judged. Raises `BadInput` as it."""
+Levels = tuple[xr.DataArray, dict[str, np.ndarray]]
+"""Levels (simulation, quantity), and covariates by name."""
+
+
+def read_judged(path: Path, circular: tuple[str, ...] = ()) -> Brought | Levels:
+    """As `read_brought`; of a coverage.nc, whose draws are gone, levels and covariates, NaN for
+    instances that failed. Raises `BadInput` as it."""
     if not path.is_dir() and _is_tree(path):
         with xr.open_datatree(path, engine="netcdf4") as tree:
             table = _group(tree, "simulation").load()
             if "posterior" not in tree.children and "level" in table:
-                judged = table["level"].notnull().any("quantity").values
                 columns = _group(tree, COVARIATES_GROUP).load()
-                known = {str(name): columns[name].values[judged] for name in columns.data_vars}
-                varied = {name: one for name, one in known.items() if len(np.unique(one)) > 1}
-                return table["level"][judged], varied
+                return table["level"], {str(name): one.values for name, one in columns.items()}
     return read_brought(path, circular)
+
+
+def joined(files: Mapping[str, Brought | Levels]) -> Levels:
+    """What some coverage.nc have in common, one after the other, and as a covariate more which file
+    it is. Raises `BadInput` where one of them is something else, or they have nothing in common."""
+    parts: dict[str, Levels] = {}
+    for name, one in files.items():
+        if isinstance(one, Brought):
+            raise BadInput(
+                f"{name} has draws; only what `coverage` wrote (coverage.nc) is judged together,"
+                " so judge it by itself, or put the draws into one file"
+            )
+        parts[name] = one
+    levels = xr.concat([level for level, _ in parts.values()], "simulation", join="inner")
+    if not levels.sizes["quantity"]:
+        raise BadInput(f"{' and '.join(parts)} have no quantity in common; judge them one by one")
+    shared = set.intersection(*(set(known) for _, known in parts.values()))
+    columns = {
+        name: np.concatenate([known[name] for _, known in parts.values()])
+        for name in next(iter(parts.values()))[1]
+        if name in shared
+    }
+    owner = np.repeat(list(parts), [level.sizes["simulation"] for level, _ in parts.values()])
+    levels = levels.assign_coords(simulation=np.arange(levels.sizes["simulation"]))
+    return levels, columns | {WHICH_FILE: owner}
 
 
 def _is_tree(path: Path) -> bool:

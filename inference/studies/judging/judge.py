@@ -203,12 +203,16 @@ def judge_levels(
     false_alarm: float = FALSE_ALARM,
 ) -> Judged:
     """The verdict on levels (simulation, quantity) that are there already, as those of
-    `coverage.nc`. Raises `BadInput` as `judge_coverage`."""
+    `coverage.nc`, NaN for instances that failed. Raises `BadInput` as `judge_coverage`, but for
+    covariates of one value, which are left out."""
+    judged = level.notnull().any("quantity").values
+    covariates = _varied({name: np.asarray(one)[judged] for name, one in covariates.items()})
     share = false_alarm / 2 if covariates else false_alarm
     table = level.to_dataset(name="level")
     calibration = judge(table, false_alarm=share, fewest=FEWEST_INSTANCES)
     local = map_ = None
-    ranked = level.sel(quantity=[name for name in level.quantity.values if name != CLASSIFIER])
+    own = [name for name in level.quantity.values if name != CLASSIFIER]
+    ranked = level.sel(quantity=own)[judged]
     notes = []
     if covariates:
         map_ = curves(ranked, covariates)
@@ -243,6 +247,11 @@ def judge_levels(
         sentence=sentence,
         notes=tuple(notes),
     )
+
+
+def _varied(columns: Columns) -> Columns:
+    """Those covariates on which something can depend."""
+    return {name: one for name, one in columns.items() if len(np.unique(one)) > 1}
 
 
 def _levels(brought: Brought, seed: int) -> tuple[xr.DataArray, np.ndarray, list[str]]:

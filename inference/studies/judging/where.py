@@ -78,14 +78,16 @@ class Locally(NamedTuple):
 def locally(
     levels: xr.DataArray, covariates: Columns, seed: int = 0, foremost: Sequence[str] = ()
 ) -> Locally:
-    """Tests whether levels (simulation, quantity) depend on covariates; rows with NaN are left out.
+    """Tests whether levels (simulation, quantity) depend on covariates; rows of NaN are left out.
+    Where single levels are missing, a leaf is compared with the others that are known; the test is
+    exact as long as which are missing does not depend on covariates.
 
     One of the quantities `foremost` is named where any of them deviates by itself too. Raises
     `BadInput` where a covariate has one value alone, a NaN or another length, or where there are
     too few instances to be parted."""
     columns = checked(covariates, levels.sizes["simulation"])
     levels = levels.dropna("quantity", how="all")
-    known = np.isfinite(levels.values).all(axis=1)
+    known = np.isfinite(levels.values).any(axis=1)
     columns = {name: column[known] for name, column in columns.items()}
     values = levels.values[known]
     leaves = list(leaves_of(columns))
@@ -96,7 +98,7 @@ def locally(
         )
     score = np.concatenate([_sides(values), _widths(values)], axis=1)
     inside = np.stack([leaf.inside for leaf in leaves])
-    deviation = np.abs(_standardised(inside) @ _unit(score))
+    deviation = _deviation(inside, _unit(score), np.isfinite(score))
     largest = _after_permutations(inside, score, np.random.default_rng(seed))
     p_value = (1 + (largest >= deviation.max() * (1 - 1e-6)).sum()) / (1 + len(largest))
     first = np.tile(np.isin(levels.quantity.values, list(foremost)), 2)
@@ -164,7 +166,9 @@ def _crossed(columns: Columns, splits: tuple[float, ...]) -> Iterator[Leaf]:
     for first, second in combinations(parts.values(), 2):
         for one in first:
             for other in second:
-                yield Leaf(f"{one.words} and {other.words}", one.inside & other.inside)
+                both = one.inside & other.inside
+                if not any((both == alone.inside).all() for alone in (one, other)):
+                    yield Leaf(f"{one.words} and {other.words}", both)
 
 
 def _parts(name: str, column: np.ndarray, splits: tuple[float, ...]) -> Iterator[Leaf]:
@@ -193,31 +197,37 @@ def _widths(levels: np.ndarray) -> np.ndarray:
     return np.sqrt(5) * (6 * levels**2 - 6 * levels + 1)
 
 
-def _standardised(inside: np.ndarray) -> np.ndarray:
-    """`(leaf, n)`: rows whose product with columns of `_unit` has variance 1 after a random
-    permutation, but for a factor that all share."""
-    share = inside.mean(axis=1, keepdims=True)
-    return (inside - share) / np.sqrt(inside.shape[1] * share * (1 - share))
-
-
 def _unit(score: np.ndarray) -> np.ndarray:
-    centred = score - score.mean(axis=0)
-    return centred / np.maximum(centred.std(axis=0), 1e-12)
+    """Columns of mean 0 and deviation 1 over what is known of them, 0 where nothing is."""
+    centred = score - np.nanmean(score, axis=0)
+    return np.nan_to_num(centred / np.maximum(np.nanstd(score, axis=0), 1e-12))
+
+
+def _deviation(inside: np.ndarray, unit: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """`(leaf, column)`: sizes of the sums of columns of `_unit` in leaves, in deviations that they
+    have where instances are exchanged; 0 where a leaf knows too few, or knows all."""
+    inside = inside.astype(unit.dtype)
+    if known.all():
+        total, here = known.shape[0], inside.sum(axis=1, keepdims=True)
+    else:
+        total, here = known.sum(axis=0), inside @ known.astype(unit.dtype)
+    spread = np.sqrt(np.maximum(here * (total - here) / total, 1))
+    enough = np.minimum(here, total - here) >= FEWEST_IN_LEAF
+    return np.where(enough, np.abs(inside @ unit) / spread, 0)
 
 
 def _after_permutations(
     inside: np.ndarray, score: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """`(PERMUTATIONS,)`: the largest deviation when instances are exchanged."""
-    rows = _standardised(inside).astype(np.float32)
-    unit = _unit(score).astype(np.float32)
+    unit, known = _unit(score).astype(np.float32), np.isfinite(score)
     found: list[np.ndarray] = []
     for first in range(0, PERMUTATIONS, TOGETHER):
         number = min(TOGETHER, PERMUTATIONS - first)
         order = np.stack([rng.permutation(len(unit)) for _ in range(number)], axis=1)
-        shuffled = unit[order]  # (n, number, score)
-        deviation = rows @ shuffled.reshape(len(unit), -1)
-        found.append(np.abs(deviation).reshape(len(rows), number, -1).max(axis=(0, 2)))
+        shuffled = (one[order].reshape(len(unit), -1) for one in (unit, known))
+        deviation = _deviation(inside, *shuffled)
+        found.append(deviation.reshape(len(inside), number, -1).max(axis=(0, 2)))
     return np.concatenate(found)
 
 
@@ -238,8 +248,9 @@ def central(levels: np.ndarray, nominal: float) -> np.ndarray:
 
 def _told(leaf: Leaf, levels: np.ndarray, sided: bool) -> tuple[Interval, Interval, str]:
     """What intervals of 50 % hold in a leaf, and elsewhere; and what deviates there, in words."""
-    here = levels[leaf.inside]
-    there = levels[~leaf.inside]
+    known = np.isfinite(levels)
+    here = levels[leaf.inside & known]
+    there = levels[~leaf.inside & known]
     covered = share_held(central(here, 0.5))
     elsewhere = share_held(central(there, 0.5))
     if sided:

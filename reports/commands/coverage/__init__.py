@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from poseterior.inference.results import save_tree
+from poseterior.inference.results import save_tree, versions
 from poseterior.inference.sampler import MAKERS
 from poseterior.inference.studies import calibration, person_views
 from poseterior.inference.studies.calibration.coverage import CoverageSummary
@@ -143,8 +143,8 @@ def real(settings: CoverageSettings, screen: Screen) -> None:
 
 
 def viewed(settings: CoverageSettings, screen: Screen) -> None:
-    """Coverage of people whose truth is known in part: coverage.json and coverage.png. Raises
-    `BadInput` on a bad file or law, and where torso and camera are fixed."""
+    """Coverage of people whose truth is known in part: coverage.json, coverage.nc and coverage.png.
+    Raises `BadInput` on a bad file or law, and where torso and camera are fixed."""
     assert settings.dataset is not None
     if not settings.rooting.rooted:
         raise BadInput("views of people come without torso and camera; choose --root uncertain")
@@ -172,6 +172,9 @@ def viewed(settings: CoverageSettings, screen: Screen) -> None:
     }
     said = honesty_json(found, people, gaps)
     console.write_text(out / "coverage.json", json.dumps(said, indent=1) + "\n")
+    tree = person_views.levels_tree(views, about)
+    tree.attrs.update(data=settings.dataset.name, versions=versions())
+    save_tree(tree, out / "coverage.nc")
     save_figure(levels_figure(about), out / "coverage.png")
     shown: list[Sheet | str] = []
     for name in found:
@@ -184,7 +187,7 @@ def viewed(settings: CoverageSettings, screen: Screen) -> None:
             f"{strangers} of {len(every)} views were left out: their median joint is detected more"
             f" than {person_views.ANOTHER:g} mm from where it truly is, on somebody else or nobody."
         )
-    written = f"Written to {out}: coverage.json, coverage.png"
+    written = f"Written to {out}: coverage.json, coverage.nc, coverage.png"
     console.show(screen.json, said | {"out": str(out)}, *shown, written)
 
 

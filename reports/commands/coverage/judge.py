@@ -1,11 +1,11 @@
 """`poseterior coverage judge`: anybody's draws beside truths: the verdict, and where they fail."""
 
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 from poseterior.inference.results import save_tree, versions
 from poseterior.inference.studies.judging.brought import Brought
-from poseterior.inference.studies.judging.files import read_judged
+from poseterior.inference.studies.judging.files import Levels, joined, read_judged
 from poseterior.inference.studies.judging.judge import Judged, judge_brought, judge_levels
 from poseterior.inference.studies.judging.repair import NO_POSTERIOR, recalibrate
 from poseterior.probmodel import BadInput
@@ -16,13 +16,16 @@ from poseterior.reports.options import Screen
 from poseterior.reports.settings import CoverageJudgeSettings
 from poseterior.reports.tables.judging import covered_table, judged_json, map_table
 
+TOGETHER = "together"
+"""What several files are called that are judged as one."""
+
 
 def run(settings: CoverageJudgeSettings, screen: Screen) -> None:
-    """One file after the other. Raises `BadInput` where one cannot be judged."""
+    """One file after the other, or all together. Raises `BadInput` where one cannot be judged."""
     found = {}
-    for path in settings.files:
-        with console.progress(f"tests of {path.name}", screen.quiet):
-            found[path.stem] = _judged(settings, path)
+    for name, brought in _brought(settings):
+        with console.progress(f"tests of {name}", screen.quiet):
+            found[name] = _judged(settings, name, brought)
     if screen.json:
         console.show_json({name: judged_json(one) for name, one in found.items()})
         return
@@ -32,8 +35,17 @@ def run(settings: CoverageJudgeSettings, screen: Screen) -> None:
         console.say(f"Written to {settings.recalibrate}: {NO_POSTERIOR}")
 
 
-def _judged(settings: CoverageJudgeSettings, path: Path) -> Judged:
-    brought = read_judged(path, tuple(settings.circular or ()))
+def _brought(settings: CoverageJudgeSettings) -> Iterator[tuple[str, Brought | Levels]]:
+    """What is judged, by name: each file, or all of them as one."""
+    circular = tuple(settings.circular or ())
+    each = ((name, read_judged(path, circular)) for name, path in settings.named.items())
+    if settings.together:
+        yield TOGETHER, joined(dict(each))
+    else:
+        yield from each
+
+
+def _judged(settings: CoverageJudgeSettings, name: str, brought: Brought | Levels) -> Judged:
     asked: dict[str, Any] = {"seed": settings.seed, "false_alarm": settings.false_alarm}
     if isinstance(brought, Brought):
         found = judge_brought(brought, **asked)
@@ -41,20 +53,22 @@ def _judged(settings: CoverageJudgeSettings, path: Path) -> Judged:
     else:
         level, covariates = brought
         found = judge_levels(level, covariates, **asked)
-    about = asked | {"source": path.name, "versions": versions()}
+    source = ", ".join(settings.named) if settings.together else settings.named[name].name
+    about = asked | {"source": source, "versions": versions()}
     if settings.recalibrate:
         if settings.by and settings.by not in covariates:
             known = ", ".join(covariates) or "none"
-            raise BadInput(f"{path} has no covariate {settings.by}; known are: {known}")
-        by = (settings.by, covariates[settings.by]) if settings.by else None
-        own = found.level.sel(quantity=found.quantities)
+            raise BadInput(f"{name} has no covariate {settings.by}; known are: {known}")
+        judged = found.level.notnull().any("quantity").values
+        by = (settings.by, covariates[settings.by][judged]) if settings.by else None
+        own = found.level.sel(quantity=found.quantities)[judged]
         recalibrate(own, by).save(settings.recalibrate, about)
     if settings.out:
         out = console.output_folder(settings.out)
         tree = found.tree
         tree.attrs.update(about)
-        save_tree(tree, out / f"{path.stem}.nc")
-        save_figure(judged_figure(found), out / f"{path.stem}.png")
+        save_tree(tree, out / f"{name}.nc")
+        save_figure(judged_figure(found), out / f"{name}.png")
     return found
 
 

@@ -70,15 +70,18 @@ OUTLIERS = np.array([[False, False], [True, False], [False, True], [True, True]]
 
 class FaultPattern(NamedTuple):
     """The faults of the torso's keypoints, `faults`; the `exchanges`, indices into
-    `faults.EXCHANGES`, that come with them; and the `lens`, where there may be several."""
+    `faults.EXCHANGES`, that come with them; the `lens`, where there may be several; and for how
+    many lenses this one stands, which was taken from them at random."""
 
     faults: Faults
     exchanges: tuple[int, ...]
     lens: int | None = None
+    stands_for: int = 1
 
 
 def fault_patterns(posterior: Posterior) -> list[FaultPattern]:
-    """All that may be wrong with the torso's keypoints, nothing first."""
+    """All that may be wrong with the torso's keypoints, nothing first; each of it under every lens,
+    one after the other."""
     prior = posterior.faults
     counts = np.asarray(posterior.detected.counts)
     exchanges = prior.exchanges

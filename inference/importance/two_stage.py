@@ -9,9 +9,12 @@ effective roots and nothing else.
 
 A pilot run estimates how much oversampling is needed. Where the detector has faults,
 every pattern of the torso's faults gets a share of the roots: the pilot run estimates
-what it has of the posterior.
+what it has of the posterior. Where there may be several focal lengths, so does each of
+these; but faults that are rare under one of them are looked at under one that is taken
+at random, and stands for all.
 """
 
+import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -29,6 +32,7 @@ from poseterior.inference.importance.fault_patterns import (
     FitScore,
     fault_patterns,
     fit_score,
+    lenses_of,
     log_priors,
     pool_of,
     propose_faults,
@@ -53,12 +57,16 @@ from poseterior.probmodel.skeleton import NUM_JOINTS, TORSO_INDEX
 PILOT = 48
 """Roots of a pattern in the pilot run."""
 ROUGH_LEVELS = 1
-"""Levels of the cells of a pattern, where there are several: most have next to no
-roots."""
+"""Levels of the cells of a pattern, where there are several."""
 FINE_SHARE = 0.05
 """The share of the roots above which a pattern gets cells as fine as one alone. Those of several
 focal lengths share the roots out, and rough cells do: fine ones cost three times as much as all the
 rest, and made no more effective roots."""
+COARSE_LEVELS = 0
+"""Levels of the cells of faults, of which most are never seen."""
+RARE_ODDS = 0.002
+"""Odds of faults against none, under the focal length in the middle, below which one focal
+length stands for all."""
 PILOT_PROPOSALS = 1 << 20
 """Proposals for a pattern in the pilot run."""
 FEW_PROPOSALS = 1 << 21
@@ -97,6 +105,7 @@ class ProposedRoots(NamedTuple):
         proposed.
     wanted : how many roots there would be, had the budget been large enough.
     proposals : how many were made.
+    stands_for : `(patterns,)`: for how many focal lengths that of each pattern stands.
     """
 
     points: RootPoint
@@ -107,6 +116,7 @@ class ProposedRoots(NamedTuple):
     chance: np.ndarray
     wanted: int
     proposals: int
+    stands_for: np.ndarray | int = 1
 
     def at(self, rows: Any) -> "ProposedRoots":
         """Some of them, whichever these are: they are taken more seldom."""
@@ -125,13 +135,16 @@ class ProposedRoots(NamedTuple):
         Two parts: of those that were proposed, without number, Σ chance · share²; and
         of taking some of them, by so even a count that about their mean 1/n only what
         might have been left out counts, Σ (1 - chance) · (share - 1/n)² (Hájek 1964).
-        From the sum goes what the number of proposals is known by."""
+        From the sum goes what the number of proposals is known by. A pattern whose focal
+        length stands for others has a variance of its share squared at most: so much is
+        added."""
         of_patterns = np.bincount(self.pattern, share, minlength=len(self.made))
         held = of_patterns > 0
         proposed = float(np.sum(of_patterns[held] ** 2 / self.made[held]))
         taking = (1 - self.chance) * (share - 1 / len(share)) ** 2
         variance = float(np.sum(self.chance * share**2 + taking)) - proposed
-        return max(variance, 0.0)
+        alone = np.broadcast_to(self.stands_for, len(self.made)) > 1
+        return max(variance, 0.0) + float(np.sum(of_patterns[alone] ** 2))
 
 
 class PatternPlan(NamedTuple):
@@ -159,6 +172,27 @@ class PatternPlan(NamedTuple):
     likely: bool = True
 
 
+class Pilot(NamedTuple):
+    """What a pilot run says of a pattern.
+
+    Attributes
+    ----------
+    plan
+        Without a share.
+    estimate
+        `(n,)` log of about what each root has of the pattern.
+    score
+        Log of about what the pattern has of the posterior, -inf where there was no root.
+    proposals
+        How many were made.
+    """
+
+    plan: PatternPlan
+    estimate: np.ndarray
+    score: float
+    proposals: int
+
+
 class PatternRoots(NamedTuple):
     """The roots of one pattern, as `ProposedRoots` has them, and the probability `(n,)`
     with which each was taken from those that were proposed."""
@@ -178,7 +212,7 @@ def propose_roots(
     rng = np.random.default_rng(words_of(order_key))
     # Proposals for roots that may not be weighted are not taken away from limbs.
     ample = budget.proposals >= 2 * number * (TORSO_PROPOSALS + LIMB_PROPOSALS)
-    plans, pilot_proposals = _plan(posterior, pilot_key, budget, ample)
+    plans, pilot_proposals = _plan(posterior, pilot_key, budget, ample, rng)
     counts = times(np.array([plan.share for plan in plans]), number, rng.uniform()).tolist()
     limits = [budget.proposals if plan.likely else FEW_PROPOSALS for plan in plans]
     torsos = _draw(plans, torso_key, counts, limits, budget)
@@ -197,42 +231,101 @@ def propose_roots(
         return ProposedRoots(**none._asdict(), made=made, wanted=number, proposals=proposals)
     roots = jax.tree.map(lambda *rows: np.concatenate(rows), parts[0], *parts[1:])
     held = len(roots.log_weight)
+    stands_for = np.array([plan.pattern.stands_for for plan in plans])
     # The mean over the roots there are, not over those asked for, is to be the evidence.
     roots = roots._replace(log_weight=roots.log_weight + np.log(held / number))
-    whole = ProposedRoots(**roots._asdict(), made=made, wanted=wanted, proposals=proposals)
+    whole = ProposedRoots(
+        **roots._asdict(), made=made, wanted=wanted, proposals=proposals, stands_for=stands_for
+    )
     return whole.at(rng.permutation(held))
 
 
 def _plan(
-    posterior: Posterior, key: jax.Array, budget: Budget, ample: bool
+    posterior: Posterior, key: jax.Array, budget: Budget, ample: bool, rng: np.random.Generator
 ) -> tuple[list[PatternPlan], int]:
     """A plan for each pattern, by a pilot run, and how many proposals that took; where
     there is but one pattern, and the budget is not `ample`, none is needed."""
-    patterns = fault_patterns(posterior)
-    problems = [torso_problem(posterior, pattern.faults, pattern.lens) for pattern in patterns]
-    levels = [FEWER_LEVELS if len(patterns) == 1 else ROUGH_LEVELS] * len(patterns)
-    proposals = workers().map(weighted_proposal, problems, levels)
-    plans = list(map(PatternPlan, patterns, problems, proposals))
-    if len(plans) == 1 and not ample:
-        return plans, 0
-    limits = [PILOT_PROPOSALS] * len(plans)
-    pilots = _draw(plans, key, [PILOT] * len(plans), limits, budget)
-    estimates = [
-        _pilot_estimate(posterior, pattern, pilot)
-        for pattern, pilot in zip(patterns, pilots, strict=True)
-    ]
-    share = _shares(posterior, patterns, pilots, estimates)
-    for index, estimate in enumerate(estimates):
-        plan = plans[index]._replace(
-            share=share[index],
-            oversampling=_oversampling(estimate) if ample else 1,
-            likely=len(estimate) > 0 or len(plans) == 1,
+    patterns, lenses = fault_patterns(posterior), lenses_of(posterior)
+    if len(patterns) == 1:
+        plans = _prepared(posterior, patterns, FEWER_LEVELS)
+        if not ample:
+            return plans, 0
+        pilots = _pilots(posterior, plans, key, budget)
+        made = pilots[0].proposals
+    else:
+        pilots, made = _of_faults(posterior, patterns, lenses, key, budget, rng)
+    share = _shares(np.array([pilot.score for pilot in pilots]))
+    plans = []
+    for pilot, own in zip(pilots, share.tolist(), strict=True):
+        plan = pilot.plan._replace(
+            share=own,
+            oversampling=_oversampling(pilot.estimate) if ample else 1,
+            likely=len(pilot.estimate) > 0 or len(pilots) == 1,
         )
-        several = len(plans) > 1 and plan.pattern.lens is None
-        if several and share[index] > FINE_SHARE:
+        if len(pilots) > 1 and lenses == 1 and own > FINE_SHARE:
             plan = plan._replace(proposal=weighted_proposal(plan.problem))
-        plans[index] = plan
-    return plans, sum(pilot.proposals for pilot in pilots)
+        plans.append(plan)
+    return plans, made
+
+
+def _of_faults(
+    posterior: Posterior,
+    patterns: list[FaultPattern],
+    lenses: int,
+    key: jax.Array,
+    budget: Budget,
+    rng: np.random.Generator,
+) -> tuple[list[Pilot], int]:
+    """Pilot runs of no faults under every lens, and of faults under that in the middle;
+    where they are not rare under it, under every lens, otherwise one that is taken at
+    random stands for all. And how many proposals that took."""
+    first_key, second_key = jax.random.split(key)
+    middle, faulty = lenses // 2, list(itertools.batched(patterns[lenses:], lenses))
+    plans = _prepared(posterior, patterns[:lenses], ROUGH_LEVELS)
+    plans += _prepared(posterior, [same[middle] for same in faulty], COARSE_LEVELS)
+    pilots = _pilots(posterior, plans, first_key, budget)
+    made = sum(pilot.proposals for pilot in pilots)
+    if lenses == 1:
+        return pilots, made
+    sound, asked = pilots[:lenses], pilots[lenses:]
+    usual = sound[middle].score + math.log(RARE_ODDS)
+    rare = [pilot.score <= usual for pilot in asked]
+    stand_ins = [
+        same[rng.integers(lenses)]._replace(stands_for=lenses)
+        for same in itertools.compress(faulty, rare)
+    ]
+    known = itertools.compress(asked, rare)
+    plans = _prepared(posterior, stand_ins, COARSE_LEVELS)
+    sound += [
+        pilot._replace(plan=plan, score=pilot.score + math.log(lenses))
+        for pilot, plan in zip(known, plans, strict=True)
+    ]
+    often = itertools.compress(faulty, np.logical_not(rare))
+    plans = _prepared(posterior, list(itertools.chain(*often)), ROUGH_LEVELS)
+    more = _pilots(posterior, plans, second_key, budget)
+    return sound + more, made + sum(pilot.proposals for pilot in more)
+
+
+def _prepared(posterior: Posterior, patterns: list[FaultPattern], levels: int) -> list[PatternPlan]:
+    """What proposes roots of each, by cells of so many levels."""
+    problems = [torso_problem(posterior, pattern.faults, pattern.lens) for pattern in patterns]
+    proposals = workers().map(weighted_proposal, problems, [levels] * len(patterns))
+    return list(map(PatternPlan, patterns, problems, proposals))
+
+
+def _pilots(
+    posterior: Posterior, plans: list[PatternPlan], key: jax.Array, budget: Budget
+) -> list[Pilot]:
+    number = len(plans)
+    draws = _draw(plans, key, [PILOT] * number, [PILOT_PROPOSALS] * number, budget)
+    found = []
+    for plan, drawn in zip(plans, draws, strict=True):
+        estimate, score = _pilot_estimate(posterior, plan.pattern, drawn), -math.inf
+        if len(estimate):
+            score = float(logsumexp(estimate)) + drawn.log_evidence
+            score += _log_prior(posterior, plan.pattern)
+        found.append(Pilot(plan, estimate, score, drawn.proposals))
+    return found
 
 
 def _pilot_estimate(posterior: Posterior, pattern: FaultPattern, pilot: TorsoDraws) -> np.ndarray:
@@ -270,7 +363,7 @@ def _roots_of(
     rows, chance = _take(first_stage, min(len(first_stage), asked), rng)
     faults, log_proposal = propose_faults(score.take(rows), pattern, rng)
     weight = torso.log_evidence + log_priors(posterior, faults) - log_proposal
-    weight += np.log(asked / plan.share) + torso.log_share[rows]
+    weight += np.log(pattern.stands_for * asked / plan.share) + torso.log_share[rows]
     weight -= np.log(chance)
     chance = chance * torso.inclusion[rows]
     number = np.full(len(rows), index)
@@ -331,23 +424,13 @@ def _draw(
     return draws
 
 
-def _shares(
-    posterior: Posterior,
-    patterns: list[FaultPattern],
-    pilots: list[TorsoDraws],
-    estimates: list[np.ndarray],
-) -> np.ndarray:
-    """`(patterns,)`: what each gets of the roots: about what it has of the
-    posterior."""
-    score = np.full(len(patterns), -np.inf)
-    for index, estimate in enumerate(estimates):
-        if len(estimate):
-            evidence = logsumexp(estimate) + pilots[index].log_evidence
-            score[index] = evidence + _log_prior(posterior, patterns[index])
+def _shares(score: np.ndarray) -> np.ndarray:
+    """`(patterns,)`: what each gets of the roots: about what it has of the posterior, by
+    the scores of pilot runs."""
     if not np.isfinite(score).any():
-        return np.full(len(patterns), 1 / len(patterns))
+        return np.full(len(score), 1 / len(score))
     share = np.exp(score - logsumexp(score))
-    return (1 - EVEN_SHARE) * share + EVEN_SHARE / len(patterns)
+    return (1 - EVEN_SHARE) * share + EVEN_SHARE / len(score)
 
 
 def _log_prior(posterior: Posterior, pattern: FaultPattern) -> float:

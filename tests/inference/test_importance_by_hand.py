@@ -154,18 +154,69 @@ def test_a_pattern_that_a_pilot_run_did_not_find_is_not_looked_for_for_ever(
     found = posterior(Row(UNCERTAIN, "", "disc", faults="outliers"))
     estimates = iter([np.zeros(5), np.zeros(0), np.zeros(3)])
     monkeypatch.setattr(two_stage, "weighted_proposal", lambda *_: SimpleNamespace())
-    pilots = [SimpleNamespace(proposals=number) for number in (1, 10, 100)]
+    pilots = [SimpleNamespace(proposals=number, log_evidence=0.0) for number in (1, 10, 100)]
     monkeypatch.setattr(two_stage, "_draw", lambda *_: pilots)
     monkeypatch.setattr(two_stage, "_pilot_estimate", lambda *_: next(estimates))
-    monkeypatch.setattr(two_stage, "_shares", lambda *_: np.zeros(3))
-    plans, spent = two_stage._plan(found, key(0), Budget(1000), True)
+    plans, spent = two_stage._plan(found, key(0), Budget(1000), True, np.random.default_rng(0))
     assert [plan.likely for plan in plans] == [True, False, True]
     assert spent == 111
 
 
-def fake_plan(share: float, oversampling: int = 8) -> Any:
+LENSES, COMMON = 3, math.log(0.7)
+
+
+def planned(monkeypatch: pytest.MonkeyPatch, odds: float, seed: int) -> list[two_stage.PatternPlan]:
+    """Plans of no outlier, of one of a shoulder and of one of a hip, under three focal lengths,
+    where the pilot runs give the shoulder such odds under that in the middle, and the hip 0.3."""
+    found = posterior(Row(UNCERTAIN, "", "disc", faults="outliers"))
+    several = [
+        pattern._replace(lens=lens) for pattern in fault_patterns(found) for lens in range(LENSES)
+    ]
+    score = {id(several[index].faults): value for index, value in ((0, 1.0), (3, odds), (6, 0.3))}
+    monkeypatch.setattr(two_stage, "fault_patterns", lambda _: several)
+    monkeypatch.setattr(two_stage, "lenses_of", lambda _: LENSES)
+    monkeypatch.setattr(two_stage, "torso_problem", lambda *of: of[1:])
+    monkeypatch.setattr(two_stage, "weighted_proposal", lambda problem, *_: problem)
+
+    def drawn(plans: list[two_stage.PatternPlan], *_: Any) -> list[Any]:
+        evidence = [math.log(score[id(plan.pattern.faults)]) + COMMON for plan in plans]
+        return [SimpleNamespace(proposals=1, log_evidence=value) for value in evidence]
+
+    monkeypatch.setattr(two_stage, "_draw", drawn)
+    monkeypatch.setattr(two_stage, "_pilot_estimate", lambda *_: np.zeros(1))
+    monkeypatch.setattr(two_stage, "_log_prior", lambda *_: 0.0)
+    rng = np.random.default_rng(seed)
+    plans, spent = two_stage._plan(found, key(0), Budget(1000), True, rng)
+    assert spent == 5 + 3 * (len(plans) // LENSES - 1)  # every pilot run is counted
+    for plan in plans:
+        assert plan.problem == (plan.pattern.faults, plan.pattern.lens)
+    return plans
+
+
+def test_rare_faults_are_looked_at_under_one_focal_length_that_stands_for_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Odds of 0.001 are rare, of 0.3 are not. What stands for three has the share of three."""
+    shares, lenses = [], []
+    for seed in range(30):
+        plans = planned(monkeypatch, 0.001, seed)
+        stood = [plan.pattern.stands_for for plan in plans]
+        assert stood == [1, 1, 1, 3, 1, 1, 1]
+        assert [plan.pattern.lens for plan in plans[:3] + plans[4:]] == 2 * [0, 1, 2]
+        lenses.append(plans[3].pattern.lens)
+        shares.append([plan.share for plan in plans])
+    assert min(lenses.count(lens) for lens in range(LENSES)) >= 3  # a third each; fewer: 1 %
+    score = np.array([1, 1, 1, 0.003, 0.3, 0.3, 0.3])
+    np.testing.assert_allclose(shares[0], 0.9 * score / score.sum() + 0.1 / 7)
+    often = planned(monkeypatch, 0.1, 0)
+    assert [plan.pattern.stands_for for plan in often] == [1] * 9
+    assert [plan.pattern.lens for plan in often] == 3 * [0, 1, 2]
+
+
+def fake_plan(share: float, oversampling: int = 8, stands_for: int = 1) -> Any:
     """Of a pattern whose torso problem nobody asks for."""
-    return SimpleNamespace(share=share, oversampling=oversampling, likely=True, pattern=None)
+    pattern = SimpleNamespace(stands_for=stands_for)
+    return SimpleNamespace(share=share, oversampling=oversampling, likely=True, pattern=pattern)
 
 
 def fake_draws(log_evidence: float, share: np.ndarray, inclusion: float) -> Any:
@@ -184,7 +235,8 @@ def test_shares_of_the_roots_are_no_part_of_the_evidence(monkeypatch: pytest.Mon
     """Two patterns whose torsos have the evidences 2 and 5, and a quarter and three quarters of
     twenty roots. Of the first, five of forty roots are taken, all alike; of the second all fifteen,
     which have shares of 1 to 15. Faults are proposed by exp(-0.7) where the prior says exp(-0.2).
-    The mean weight is the sum of both evidences times exp(0.5), to the last digit."""
+    The mean weight is the sum of both evidences times exp(0.5), to the last digit; a focal length
+    that stands for five counts five times."""
     uneven = np.arange(1, 16) / 120
     torsos = [
         fake_draws(math.log(2), np.full(40, 1 / 40), 0.5),
@@ -211,6 +263,10 @@ def test_shares_of_the_roots_are_no_part_of_the_evidence(monkeypatch: pytest.Mon
     np.testing.assert_allclose(proposed.chance[~second], 0.5 * 5 / 40)
     np.testing.assert_allclose(proposed.chance[second], 0.25)
     np.testing.assert_array_equal(proposed.made, [100, 100])
+    alone = [fake_plan(0.25, stands_for=5), fake_plan(0.75)]
+    monkeypatch.setattr(two_stage, "_plan", lambda *_: (alone, 30))
+    weight = np.exp(propose_roots(people, key(0), 20, Budget(1000)).log_weight - 0.5)
+    assert weight.mean() == pytest.approx(5 * 2 + 5)
 
 
 def test_a_pattern_has_the_share_of_roots_that_it_has_of_the_posterior(
@@ -219,16 +275,19 @@ def test_a_pattern_has_the_share_of_roots_that_it_has_of_the_posterior(
     """By the sum of its pilot roots' estimates × the torso's evidence × the prior of its faults:
     2 × 3 × 1 and (1 + 3) × 1 × 1/2 are 3 to 1; one tenth is shared out evenly among three, of which
     the last brought no root. Where none did, all is."""
-    pilots: Any = [SimpleNamespace(log_evidence=math.log(value)) for value in (3.0, 1.0, 9.0)]
-    estimates = [np.log([2.0]), np.log([1.0, 3.0]), np.zeros(0)]
+    values = (3.0, 1.0, 9.0)
+    drawn = [SimpleNamespace(log_evidence=math.log(one), proposals=1) for one in values]
+    estimates = iter([np.log([2.0]), np.log([1.0, 3.0]), np.zeros(0)])
     prior = {0: 0.0, 1: math.log(0.5), 2: 0.0}
+    monkeypatch.setattr(two_stage, "_draw", lambda *_: drawn)
+    monkeypatch.setattr(two_stage, "_pilot_estimate", lambda *_: next(estimates))
     monkeypatch.setattr(two_stage, "_log_prior", lambda _, pattern: prior[pattern])
     nothing: Any = None
-    patterns: Any = [0, 1, 2]
-    share = two_stage._shares(nothing, patterns, pilots, estimates)
+    plans: Any = [SimpleNamespace(pattern=pattern) for pattern in range(3)]
+    pilots = two_stage._pilots(nothing, plans, key(0), Budget(1000))
+    share = two_stage._shares(np.array([pilot.score for pilot in pilots]))
     np.testing.assert_allclose(share, 0.9 * np.array([0.75, 0.25, 0.0]) + 0.1 / 3)
-    none = two_stage._shares(nothing, patterns, pilots, [np.zeros(0)] * 3)
-    np.testing.assert_allclose(none, 1 / 3)
+    np.testing.assert_allclose(two_stage._shares(np.full(3, -np.inf)), 1 / 3)
 
 
 def test_a_pilot_root_has_its_share_of_the_torso(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -465,7 +524,7 @@ def test_a_root_counts_by_what_its_law_has_more_than_the_proposal(
 def test_roots_that_were_not_found_count_as_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of five roots that were asked for three were found, each of weight one as if it stood for
     five: their mean is what the sum of three is of five."""
-    plan: Any = SimpleNamespace(share=1.0, likely=True)
+    plan = fake_plan(1.0)
     found = SimpleNamespace(points=some_roots(3), enough=True, proposals=70)
     roots = PatternRoots(
         some_roots(3), Faults.none(3), np.zeros(3), np.zeros(3, int), np.full(3, 0.5)

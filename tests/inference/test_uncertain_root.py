@@ -487,6 +487,12 @@ def test_effective_roots_and_the_error_of_the_evidence_by_hand():
     # Taken for certain, or one in ten from so many that these have no say.
     roots = weighted(1, 1, made=(10**9,), chance=1 / 10)
     assert roots.log_evidence_se == pytest.approx(math.sqrt(1 / 20), rel=1e-6)
+    # The second pattern's focal length stands for others: its quarter may be anything.
+    alone = roots.proposed._replace(made=np.array([10, 5]), stands_for=np.array([1, 5]))
+    alone = alone._replace(pattern=np.array([0, 1]), chance=np.ones(2))
+    share = np.array([0.75, 0.25])
+    sure = alone._replace(stands_for=1).relative_variance(share)
+    assert alone.relative_variance(share) == pytest.approx(sure + 0.25**2)
 
 
 def test_the_error_of_the_evidence_knows_that_likely_roots_weigh_more():

@@ -16,12 +16,14 @@ from scipy import stats
 from poseterior import inference
 from poseterior.inference.baselines.rooted import RootedTarget
 from poseterior.inference.draws import Draws
+from poseterior.inference.importance import two_stage
+from poseterior.inference.importance.weighted import weigh_roots
 from poseterior.inference.sampler import REJECTION
 from poseterior.probmodel import BadInput, DetectorErrors, Likelihood, PoseModel
 from poseterior.probmodel.camera import FOCAL_MEDIAN, FOCAL_SPREAD, Lens, Perspective
 from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.root_priors import NEAREST, TorsoCameraPrior
-from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS
+from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS, NUM_JOINTS, TORSO_INDEX
 from tests import oracle
 from tests.inference.test_oracle import (
     BIASES,
@@ -129,6 +131,36 @@ def test_an_unknown_focal_length_is_a_mixture() -> None:
     assert apart({"means": found["means"]}, {"means": alone["means"]})["means"] > LIMIT
     flat = np.bincount(draws.known.points.lens) / len(draws.known.points.lens)
     assert np.abs(flat - truth["shares"][0]).max() > LIMIT * truth["shares"][1].max()
+
+
+SIMILAR = np.linspace(500.0, 850.0, 5)
+RUNS = 8
+
+
+def faulty(rare_odds: float, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """`(RUNS,)`: the evidence of outliers among the torso's keypoints, over five focal lengths,
+    where faults are rare below such odds."""
+    monkeypatch.setattr(two_stage, "RARE_ODDS", rare_odds)
+    people = PoseModel(torsos=model().torsos).seen_by(Lens(SIMILAR, PRINCIPAL))
+    row = Row("uncertain", "", "gaussian", lens=True, faults="outliers")
+    posterior = dataclasses.replace(scene(), likelihood=likelihood(row)).posterior(people)
+    found = []
+    for run in range(RUNS):
+        roots = weigh_roots(posterior, key=key(run), num_roots=1000)
+        wrong = roots.proposed.faults.outlier[:, list(TORSO_INDEX)].any(axis=1)
+        found.append(roots.evidence_of(np.flatnonzero(wrong))[0])
+        assert bool(np.ptp(roots.proposed.stands_for)) is (rare_odds > 1)
+    return np.exp(np.array(found))
+
+
+@pytest.mark.slow
+def test_rare_faults_under_one_focal_length_count_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same evidence in the mean as where every focal length has its own, within 4.5 standard
+    errors and a fifth; uncounted, it would be a fifth of it."""
+    own, alone = (faulty(odds, monkeypatch) for odds in (1e-300, 1e300))
+    error = math.hypot(stats.sem(own), stats.sem(alone))
+    assert error < 0.05 * own.mean()
+    assert abs(own.mean() - alone.mean()) < min(LIMIT * error, 0.2 * own.mean())
 
 
 @pytest.mark.sweep

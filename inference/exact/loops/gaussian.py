@@ -70,6 +70,8 @@ class CentredJoints(NamedTuple):
     torsos, middles : `(J, n, 3)` around `(J, 1, 3)`
     bias, biases : `(2,)` and `(n, 2)` around it
     ray, rays : `(2,)` and `(n, 2)` around it
+    slant : `(n,)` lengths of `rays`
+    flat, far : `(J, n)` how far joints lie from the yaw's axis, and from the pelvis
     """
 
     precision: np.ndarray
@@ -83,6 +85,9 @@ class CentredJoints(NamedTuple):
     biases: np.ndarray
     ray: np.ndarray
     rays: np.ndarray
+    slant: np.ndarray
+    flat: np.ndarray
+    far: np.ndarray
 
 
 class GaussianTorso(NamedTuple):
@@ -107,18 +112,23 @@ def centre_joints(joints: TorsoJoints) -> CentredJoints:
     ray = weight @ joints.ray
     keypoints = joints.keypoints - middle
     middles = np.einsum("n,jnx->jx", weight, joints.torsos)
+    torsos = np.ascontiguousarray(joints.torsos - middles[:, None])
+    rays = np.ascontiguousarray(joints.ray - ray)
     return CentredJoints(
         precision=joints.precision,
         total=float(joints.precision.sum()),
         middle=middle,
         keypoints=keypoints,
         lever=float(joints.precision @ np.sum(keypoints**2, axis=1)),
-        torsos=np.ascontiguousarray(joints.torsos - middles[:, None]),
+        torsos=torsos,
         middles=np.ascontiguousarray(middles[:, None]),
         bias=bias,
         biases=np.ascontiguousarray(joints.bias - bias),
         ray=ray,
-        rays=np.ascontiguousarray(joints.ray - ray),
+        rays=rays,
+        slant=np.linalg.norm(rays, axis=1),
+        flat=np.linalg.norm(torsos[..., :2], axis=2),
+        far=np.linalg.norm(torsos + middles[:, None], axis=2),
     )
 
 
@@ -275,6 +285,7 @@ def _fit(centred: CentredJoints, torso: int, angles: Vector, width: Vector) -> F
     by_roll = 2 * sine(width[0] / 4)
     by_tilt = 2 * sine(width[1] / 4)
     by_yaw = 2 * sine(width[2] / 4)
+    moving = width[1] > 0
     m0, m1, m2 = point_of(centred.middles, torso, 0)
     middle = cos_b * m2 - sin_b * (cos_c * m0 - sin_c * m1)
     side = math.sqrt(centred.ray[0] ** 2 + centred.ray[1] ** 2)
@@ -300,13 +311,12 @@ def _fit(centred: CentredJoints, torso: int, angles: Vector, width: Vector) -> F
             )
             mean0 += weight * aside0
             mean1 += weight * aside1
-            flat = math.sqrt(x * x + y * y)
-            sheer = math.sqrt(turned * turned + z * z)
-            step = by_roll * math.sqrt(across * across + along * along)
-            step += (1 + side) * (by_tilt * sheer + by_yaw * flat)
-            far = math.sqrt((x + m0) ** 2 + (y + m1) ** 2 + (z + m2) ** 2)
-            step += math.sqrt(ray0 * ray0 + ray1 * ray1) * (by_tilt + by_yaw) * far
-            moves += weight * step * step
+            if moving:
+                sheer = math.sqrt(turned * turned + z * z)
+                step = by_roll * math.sqrt(across * across + along * along)
+                step += (1 + side) * (by_tilt * sheer + by_yaw * centred.flat[torso, joint])
+                step += centred.slant[joint] * (by_tilt + by_yaw) * centred.far[torso, joint]
+                moves += weight * step * step
     best = product / centred.lever
     total = centred.total
     square -= (mean0 * mean0 + mean1 * mean1) / total

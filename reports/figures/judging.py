@@ -1,5 +1,7 @@
 """The verdict on anybody's posterior: ranks against their band, and coverage by covariates."""
 
+import math
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,7 +14,7 @@ from poseterior.reports.figures.coverage import ranks_band
 from poseterior.reports.figures.style import INK, LEGEND, SMALL, TITLE, page, tidy
 from poseterior.reports.tables.judging import worst
 
-MOST_PANELS = 6
+MOST_PANELS, IN_A_ROW = 7, 4
 
 
 def judged_figure(found: Judged) -> Figure:
@@ -20,12 +22,16 @@ def judged_figure(found: Judged) -> Figure:
     the map: what central intervals of the quantity that fails most hold, by each covariate, with
     bands that keep 95 % along a curve."""
     covariates = [] if found.map is None else found.map.covariate.values[:MOST_PANELS].tolist()
-    figure = page(3.4 * (1 + len(covariates)), 3.0)
-    first, *others = figure.subplots(1, 1 + len(covariates), squeeze=False)[0]
+    number = 1 + len(covariates)
+    rows, columns = math.ceil(number / IN_A_ROW), min(number, IN_A_ROW)
+    figure = page(3.4 * columns, 3.0 * rows)
+    first, *others = figure.subplots(rows, columns, squeeze=False).ravel()
     _ranks(first, found)
-    for axes, covariate in zip(others, covariates, strict=True):
+    for axes in others[len(covariates) :]:
+        axes.set_axis_off()
+    for axes, covariate in zip(others, covariates, strict=False):
         _curve(axes, found, covariate)
-    if others:
+    if covariates:
         others[0].set_ylabel(f"held, {worst(found)}", fontsize=SMALL)
     return figure
 

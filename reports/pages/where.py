@@ -39,6 +39,7 @@ from poseterior.reports.pages.strangers import (
     views_of_session,
 )
 from poseterior.reports.tables.coverage import share
+from poseterior.reports.tables.judging import map_table
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
 COVERED_DRAWS = 200
@@ -95,6 +96,8 @@ def main(data: Data, work: Work) -> Page:
             "covered_draws": COVERED_DRAWS,
             "held": _held_table(found),
             "judged": _judged_table(said),
+            "map": map_table(said[VIEWS]),
+            "film_views": FILM_VIEWS,
             "recalibrated": _recalibrated_table(level, np.array(people)),
             "people": len({*people}),
             "poses": len(people),

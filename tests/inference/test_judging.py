@@ -16,7 +16,7 @@ from sklearn.preprocessing import StandardScaler
 
 from poseterior.inference.studies.calibration.uniformity import uniformity
 from poseterior.inference.studies.calibration.verdict import CALIBRATED, MISCALIBRATED
-from poseterior.inference.studies.judging import judge_coverage, recalibrate
+from poseterior.inference.studies.judging import judge_coverage, recalibrate, where
 from poseterior.inference.studies.judging.brought import Brought
 from poseterior.inference.studies.judging.files import joined, read_brought
 from poseterior.inference.studies.judging.judge import judge_brought, judge_levels
@@ -167,6 +167,21 @@ def test_what_nobody_knows_of_a_part_is_not_compared() -> None:
     table = xr.DataArray(level, dims=("simulation", "quantity"), coords={"quantity": [*"ab"]})
     sign = np.where(x > 0, "up", "down")
     assert locally(table, {"sign": sign}).quantity == "a"
+
+
+def test_a_level_that_is_missing_is_as_if_its_instance_were() -> None:
+    """Deviations of a quantity that 60 of 100 instances know are those of these 60 alone; of a leaf
+    that knows nine of them there is none."""
+    rng = np.random.default_rng(15)
+    score = rng.normal(size=(100, 2))
+    score[60:, 1] = np.nan
+    inside = np.stack([np.arange(100) % 2 == 0, np.arange(100) >= 51])
+    found = where._deviation(inside, where._unit(score), np.isfinite(score))
+    alone = score[:60, 1:]
+    expected = where._deviation(inside[:, :60], where._unit(alone), np.isfinite(alone))
+    np.testing.assert_allclose(found[:, 1:], expected)
+    assert found[0, 1] > 0
+    assert found[1].tolist() == [pytest.approx(found[1, 0]), 0.0]
 
 
 def test_files_of_coverage_are_judged_as_one_that_knows_them_apart() -> None:

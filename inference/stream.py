@@ -31,7 +31,7 @@ from poseterior.inference.estimators import Estimating
 from poseterior.inference.footage import Footage, Item
 from poseterior.inference.hypothesis import Hypothesis, diverse
 from poseterior.inference.machines import HERE, Machines, in_threads
-from poseterior.inference.results import provenance
+from poseterior.inference.results import focal_of, provenance
 from poseterior.inference.sampler import MANY_ROOTS, DetectionSampler, sampler_of
 from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.probmodel.camera import Lens
@@ -53,7 +53,7 @@ from poseterior.probmodel.skeleton import (
     NUM_LENGTHS,
 )
 
-DRAW_BYTES = 4 * (3 * NUM_JOINTS + NUM_LENGTHS + 3)
+DRAW_BYTES = 4 * (3 * NUM_JOINTS + NUM_LENGTHS + 3 + 1)
 """Of a draw that is kept, in single precision."""
 BLOCK_BYTES = 64_000_000
 """About how much a block holds; more frames a block where fewer draws are kept."""
@@ -69,13 +69,22 @@ Progress = Callable[[int], None]
 
 
 class PoseDraws(NamedTuple):
-    """Draws of a frame: joints `(n, 15, 3)`, `bone_length` `(n, 5)`, and where the pelvis is before
-    the camera, `(n, 3)`, NaN where no focal length is known; body units. Of calibrated cameras:
-    where it is in their world, and the body as large as it is (`CalibratedWorld`)."""
+    """Draws of a frame: joints `(n, 15, 3)`, `bone_length` `(n, 5)`, where the pelvis is before the
+    camera, `(n, 3)`, body units, and the camera's `focal` length `(n,)`, pixels; both NaN in weak
+    perspective. Of calibrated cameras: where it is in their world, and the body as large as it is
+    (`CalibratedWorld`)."""
 
     joints: np.ndarray
     bone_length: np.ndarray
     place: np.ndarray
+    focal: np.ndarray
+
+    @classmethod
+    def read(cls, held: xr.Dataset) -> "PoseDraws":
+        """Those that were kept of a frame, as `draws_of` gives them; streams of earlier versions
+        say nothing of focal lengths."""
+        values = {name: held[name].values[0] for name in cls._fields if name in held}
+        return cls(**{"focal": np.full(held.sizes["draw"], np.nan)} | values)
 
 
 class FrameDraws(NamedTuple):
@@ -102,26 +111,32 @@ class FrameDraws(NamedTuple):
     joints: np.ndarray
     bone_length: np.ndarray
     places: np.ndarray
+    focal: np.ndarray
 
-    def drawn(self, draws: PoseDraws, chosen: Sequence[Hypothesis]) -> "FrameDraws":
-        """With what is said of some draws, and as many of them as are kept."""
+    def drawn(
+        self, draws: PoseDraws, chosen: Sequence[Hypothesis], standing: bool = True
+    ) -> "FrameDraws":
+        """With what is said of some draws, and as many of them as are kept. Those of which every
+        one has a focal length of its own, in every frame another, are not said to be `standing`
+        anywhere."""
         number, k = len(draws.joints), len(chosen)
         kept = min(len(self.joints), number)
+        place = draws.place if standing else np.full_like(draws.place, np.nan)
         found = self._replace(
             num_draws=number,
             mean=draws.joints.mean(axis=0),
             sd=draws.joints.std(axis=0),
-            place=draws.place.mean(axis=0),
-            place_sd=draws.place.std(axis=0),
+            place=place.mean(axis=0),
+            place_sd=place.std(axis=0),
             depth=np.quantile(draws.joints[:, :, 2], LEVELS, axis=0).T,
         )
         found.hypotheses[:k] = [one.joints for one in chosen]
         found.weight[:k] = [one.weight for one in chosen]
         found.chosen[:k] = [one.draw for one in chosen]
-        found.standing[:k] = draws.place[found.chosen[:k]]
-        found.joints[:kept], found.bone_length[:kept], found.places[:kept] = (
-            part[:kept] for part in draws
-        )
+        found.standing[:k] = place[found.chosen[:k]]
+        rooms = found.joints, found.bone_length, found.places, found.focal
+        for room, part in zip(rooms, draws, strict=True):
+            room[:kept] = part[:kept]
         return found
 
 
@@ -150,6 +165,7 @@ def nothing_drawn(name: str, status: str, sentence: str, k: int, keep: int) -> F
         joints=np.full((keep, NUM_JOINTS, 3), np.nan, np.float32),
         bone_length=np.full((keep, NUM_LENGTHS), np.nan, np.float32),
         places=np.full((keep, 3), np.nan, np.float32),
+        focal=np.full(keep, np.nan, np.float32),
     )
 
 
@@ -300,7 +316,7 @@ def open_stream(folder: str | os.PathLike) -> xr.DataTree:
         `(frame, view, ...)`), `mean` and `sd` of joints `(frame, joint, axis)` about the pelvis,
         quantiles of their `depth` `(frame, joint, level)`, and `place` and `place_sd`
         `(frame, axis)` of the pelvis before the camera, body units (NaN where no focal length is
-        known); `/hypotheses`: `joints` `(frame, hypothesis, joint, axis)`, `place`
+        known, but in a film); `/hypotheses`: `joints` `(frame, hypothesis, joint, axis)`, `place`
         `(frame, hypothesis, axis)`, `weight`, `draw`. The settings of the run are attributes; of
         calibrated cameras `up`, `unit_mm` and `views` too, by which axes are level and body units
         known (`CalibratedWorld`).
@@ -352,8 +368,9 @@ def draws_of(folder: str | os.PathLike, name: str) -> xr.Dataset:
     Returns
     -------
     Dataset
-        `joints` `(chain, draw, joint, axis)`, `bone_length`, and `place` `(chain, draw, axis)` of
-        the pelvis (NaN where no focal length is known), as ArviZ takes them.
+        `joints` `(chain, draw, joint, axis)`, `bone_length`, `place` `(chain, draw, axis)` of the
+        pelvis and the `focal` length `(chain, draw)` with which it is there (both NaN in weak
+        perspective), as ArviZ takes them.
 
     Raises
     ------
@@ -596,27 +613,35 @@ class _Drawing:
             drawn = drawn._replace(outlier=outlier, exchange=np.mean(patterns, axis=0))
         k, told = min(self.k, len(draws)), self._told(draws, frame)
         chosen = compose(draws, k) if self.composed else diverse(told.joints.astype(np.float32), k)
-        return drawn.drawn(told, chosen)
+        return drawn.drawn(told, chosen, standing=not self._drawn_lens(frame))
 
     def _told(self, draws: Draws, frame: Estimate | Instant) -> PoseDraws:
         if self.world is not None:
             return _in_world(draws, self.world)
-        own = self.lens if isinstance(frame, Instant) or frame.lens is None else frame.lens
-        return PoseDraws(draws.joints, draws.bone_length, _places(draws, own))
+        return PoseDraws(draws.joints, draws.bone_length, *_standing(draws, self._lens_of(frame)))
+
+    def _lens_of(self, frame: Estimate | Instant) -> Lens | None:
+        return self.lens if isinstance(frame, Instant) or frame.lens is None else frame.lens
+
+    def _drawn_lens(self, frame: Estimate | Instant) -> bool:
+        """Whether focal lengths are drawn with the rest."""
+        lens = self._lens_of(frame)
+        return lens is not None and lens.number > 1
 
     def _nothing(self, name: str, status: str, sentence: str) -> FrameDraws:
         return nothing_drawn(name, status, sentence, self.k, self.keep)
 
 
-def _places(draws: Draws, lens: Lens | None) -> np.ndarray:
-    """`(n, 3)`: where the pelvis of every draw stands in the camera's axes, body units; NaN where
-    the focal length is not known, or is drawn: then it stands elsewhere in every draw. A lens sees
-    a body unit there as `scale` pixels."""
-    if lens is None or lens.number > 1:
-        return np.full((len(draws.joints), 3), np.nan)
-    scale = np.asarray(draws.scale)[:, None]
+def _standing(draws: Draws, lens: Lens | None) -> tuple[np.ndarray, np.ndarray]:
+    """`(n, 3)`: where the pelvis of every draw stands in the camera's axes, body units, and `(n,)`
+    its focal length, pixels; NaN where there is no lens. A lens sees a body unit there as `scale`
+    pixels."""
+    if lens is None:
+        return np.full((len(draws.joints), 3), np.nan), np.full(len(draws.joints), np.nan)
+    scale, focal = np.asarray(draws.scale)[:, None], focal_of(draws)
+    assert focal is not None  # the posterior has the lens
     aside = (draws.keypoints[:, JOINT_INDEX["pelvis"]] - np.asarray(lens.principal)) / scale
-    return np.concatenate([aside, np.asarray(lens.focal) / scale], axis=1)
+    return np.concatenate([aside, focal[:, None] / scale], axis=1), focal
 
 
 def _in_world(draws: Draws, world: CalibratedWorld) -> PoseDraws:
@@ -626,6 +651,7 @@ def _in_world(draws: Draws, world: CalibratedWorld) -> PoseDraws:
         world.told(size[:, None, None] * draws.joints),
         draws.bone_length * (size / world.unit_mm)[:, None],
         world.told(np.asarray(draws.points.place)),
+        np.full(len(size), np.nan),
     )
 
 
@@ -679,6 +705,7 @@ def groups_of(rows: list[FrameDraws], k: int) -> Groups:
         "joints": column("joints", "draw", "joint", "axis", **units),
         "bone_length": column("bone_length", "draw", "length_group", **units),
         "place": column("places", "draw", "axis", **units),
+        "focal": column("focal", "draw", units="pixels"),
     }
     return {
         "summary": xr.Dataset(

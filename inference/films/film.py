@@ -23,10 +23,12 @@ import xarray as xr
 from poseterior.inference.estimators import Estimating
 from poseterior.inference.films.coupling import LASTING, Frame, coupled
 from poseterior.inference.films.gaps import filled
+from poseterior.inference.films.lenses import film_lenses, rows_of_lens
 from poseterior.inference.films.parts import Parts, PathBodies, put_together, taken_apart
 from poseterior.inference.footage import Footage, Item
 from poseterior.inference.hypothesis import Hypothesis, diverse
 from poseterior.inference.machines import HERE, Machines
+from poseterior.inference.resampling import times
 from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.inference.stream import (
     FrameDraws,
@@ -152,7 +154,8 @@ def film_of(
 
     Every path is of one body, which is that of one draw. Frames keep their posteriors: until quick
     motion is taken away, the torsos of all paths are turned as those of the frame's draws, and the
-    limbs of each kind are those of the draws.
+    limbs of each kind are those of the draws. Where focal lengths were drawn, every path has one,
+    the film's (`lenses`), and so stands somewhere; then frames keep their posteriors given it.
 
     Parameters
     ----------
@@ -230,8 +233,9 @@ def film_draws(folder: str | os.PathLike) -> xr.Dataset:
     -------
     Dataset
         `joints` `(chain, draw, frame, joint, axis)`, `place` `(chain, draw, frame, axis)` and
-        `bone_length` `(chain, draw, length_group)`, body units; `time` of the frames in seconds;
-        the settings as attributes.
+        `bone_length` `(chain, draw, length_group)`, body units; the `focal` length of each path
+        `(chain, draw)`, pixels, NaN in weak perspective; `time` of the frames in seconds; the
+        settings as attributes.
 
     Raises
     ------
@@ -245,8 +249,10 @@ def film_draws(folder: str | os.PathLike) -> xr.Dataset:
             " with `film_of` (on the command line `poseterior film`)"
         )
     held = [one for _, one in all_draws(folder)]
-    found = xr.concat(held, dim="frame", data_vars=["joints", "place"], coords="minimal")
-    found = found.transpose("chain", "draw", "frame", ...)
+    found = xr.concat(held, dim="frame")
+    first = held[0].drop_vars("frame")
+    same = {name: first[name] for name in ("bone_length", "focal") if name in first}
+    found = found.assign(same).transpose("chain", "draw", "frame", ...)
     seconds = np.arange(found.sizes["frame"]) * about["step"] / about["rate"]
     return found.assign_coords(time=("frame", seconds)).assign_attrs(about)
 
@@ -338,18 +344,20 @@ def _moment(
     if row is None:
         return _Moment(name)
     own = summary.isel(frame=row)
-    held = draws[str(own.frame.values)].isel(chain=0)
+    held = draws[str(own.frame.values)]
     if not held.sizes["draw"]:
         return _Moment(name, own)
-    return _Moment(name, own, PoseDraws(*(held[field].values for field in PoseDraws._fields)))
+    return _Moment(name, own, PoseDraws.read(held))
 
 
 class _Paths(NamedTuple):
-    """Paths: parts `(frames, n)` on so many bodies; which frames are `seen`."""
+    """Paths: parts `(frames, n)` on so many bodies; which frames are `seen`; and the `focal` length
+    of each `(n,)`."""
 
     parts: Parts
     body: PathBodies
     seen: np.ndarray
+    focal: np.ndarray
 
     def joints(self, frames: Sequence[int]) -> np.ndarray:
         """`(frames, n, 15, 3)`."""
@@ -373,34 +381,61 @@ def _paths(
 ) -> _Paths:
     """Paths through the frames that have draws; blanks in the others."""
     seen = np.array([one.drawn is not None for one in moments])
-    draws = [_rows(one.drawn, paths) for one in moments if one.drawn is not None]
+    draws = [one.drawn for one in moments if one.drawn is not None]
     torsos = np.stack([one.joints[0, list(TORSO_INDEX)] for one in draws]).astype(float)
-    like = mean_torso(torsos)
+    like, after = mean_torso(torsos), np.diff(np.flatnonzero(seen), prepend=0) / rate
+    focal, share = film_lenses([one.focal for one in draws])
+    counts = times(share, paths, 0.5)
+    focal, counts = focal[counts > 0], counts[counts > 0]
+    steps, of_all = itertools.count(1), len(focal)
+
+    def step() -> None:
+        if progress is not None:
+            progress(next(steps) // of_all, len(draws))
+
+    groups = [
+        _through([_rows(one, own, count) for one in draws], like, after, random, step, in_world)
+        for own, count in zip(focal.tolist(), counts.tolist(), strict=True)
+    ]
+    # The first of the paths shall be no other than the last.
+    order = random.permutation(paths) if of_all > 1 else np.arange(paths)
+    found, bodies = zip(*groups, strict=True)
+    body = PathBodies(*(np.concatenate(part)[order] for part in zip(*bodies, strict=True)))
+    blank = Parts(*(np.empty((len(seen), paths, *part.shape[2:])) for part in found[0]))
+    for part, values in zip(blank, zip(*found, strict=True), strict=True):
+        part[seen] = np.concatenate(values, axis=1)[:, order]
+    return _Paths(blank, body, seen, np.repeat(focal, counts)[order])
+
+
+def _through(
+    draws: list[PoseDraws],
+    like: np.ndarray,
+    after: np.ndarray,
+    random: np.random.Generator,
+    step: Callable[[], None],
+    in_world: bool,
+) -> tuple[Parts, PathBodies]:
+    """Paths through all frames, as many as each has draws."""
+    paths = len(draws[0].joints)
     owner = np.arange(paths) * len(draws) // paths
-    own = [PoseDraws(*(part[row] for part in draws[at])) for row, at in enumerate(owner)]
-    joints, length, _ = map(np.stack, zip(*own, strict=True))
+    joints = np.stack([draws[at].joints[row] for row, at in enumerate(owner)])
+    length = np.stack([draws[at].bone_length[row] for row, at in enumerate(owner)])
     body = taken_apart(joints, length, like)[1]
 
-    after = np.diff(np.flatnonzero(seen), prepend=0) / rate
-
     def frames() -> Iterator[Frame]:
-        for done, one in enumerate(draws):
+        for one, seconds in zip(draws, after.tolist(), strict=True):
             parts = taken_apart(one.joints, one.bone_length, like)[0]
-            yield Frame(parts._replace(place=one.place), one.joints, float(after[done]))
-            if progress is not None:
-                progress(done + 1, len(draws))
+            yield Frame(parts._replace(place=one.place), one.joints, seconds)
+            step()
 
     ordered = coupled(frames(), body, random, in_world=in_world)
-    found = Parts(*map(np.stack, zip(*ordered, strict=True)))
-    blank = Parts(*(np.empty((len(seen), *part.shape[1:])) for part in found))
-    for part, values in zip(blank, found, strict=True):
-        part[seen] = values
-    return _Paths(blank, body, seen)
+    return Parts(*map(np.stack, zip(*ordered, strict=True))), body
 
 
-def _rows(drawn: PoseDraws, paths: int) -> PoseDraws:
-    """As many draws as there are paths, some of them twice where there are fewer."""
-    rows = np.resize(np.arange(len(drawn.joints)), paths)
+def _rows(drawn: PoseDraws, focal: float, number: int) -> PoseDraws:
+    """So many of the draws, those of a focal length if it is known, some of them twice where there
+    are fewer."""
+    rows = rows_of_lens(drawn.focal, focal, number)
     return PoseDraws(*(np.asarray(part, float)[rows] for part in drawn))
 
 
@@ -442,7 +477,8 @@ class _Writing:
                 outlier=own.outlier.values,
                 exchange=own.exchange.values,
             )
-        here = PoseDraws(joints, self.film.body.length, self.film.parts.place[at])
+        film = self.film
+        here = PoseDraws(joints, film.body.length, film.parts.place[at], film.focal)
         chosen = [one._replace(joints=joints[one.draw]) for one in self.chosen]
         return found.drawn(here, chosen)
 

@@ -71,6 +71,9 @@ HEAVIEST = "frame by frame, the heaviest hypothesis"
 ALONE = "frame by frame, all draws"
 SMOOTHED = "frame by frame, each draw smoothed"
 FILM_WAY = "film"
+WEAK, UNKNOWN, KNOWN = "beam, weak perspective", "beam, unknown camera", "beam, `--focal`"
+BELIEVED = {WEAK: "", UNKNOWN: "-unknown", KNOWN: "-focal"}
+"""What films of one camera on the beam take it for, and what is put to their names."""
 PAIRS = "beam, two cameras"
 LIMB_TIPS = [
     JOINT_INDEX[name] for name in ("right_wrist", "left_wrist", "right_ankle", "left_ankle")
@@ -116,12 +119,19 @@ class TrueFilm(NamedTuple):
         return np.einsum("fjab,nfjb->nfja", self.doubt[rows], np.stack(each))
 
 
-def beam(data: Path, *, focal: bool) -> list[TrueFilm]:
-    """The film of every camera, and what the three others say."""
+def beam(data: Path, believed: str) -> list[TrueFilm]:
+    """The film of every camera, of which this is believed (`BELIEVED`), and what the three others
+    say."""
     session = read_session(data / "multicamera")
     found = []
     for view in judged_views(session):
         camera = session.straight[view.camera]
+        focal, principal = float(camera.focal[0]), camera.principal
+        lenses = {
+            WEAK: None,
+            KNOWN: Lens(focal, principal),
+            UNKNOWN: Lens.unknown(2 * float(np.max(principal)), principal),
+        }
         people = [
             corrected(
                 dataclasses.replace(
@@ -133,11 +143,11 @@ def beam(data: Path, *, focal: bool) -> list[TrueFilm]:
         ]
         found.append(
             TrueFilm(
-                f"beam-{session.labels[view.camera]}{'-focal' if focal else ''}",
+                f"beam-{session.labels[view.camera]}{BELIEVED[believed]}",
                 people,
                 without_midpoints(camera.view(view.world.points), MIDPOINTS),
                 camera.rotation @ doubt_of(session, view.world.covariance),
-                Lens(float(camera.focal[0]), camera.principal) if focal else None,
+                lenses[believed],
                 60.0,
             )
         )
@@ -464,8 +474,7 @@ def main(data: Data, work: Work) -> Page:
     """Draws what is left to be drawn, then writes the page."""
     law = DetectorErrors.default()
     real = {
-        "beam": beam(data, focal=False),
-        "beam, `--focal`": beam(data, focal=True),
+        **{name: beam(data, name) for name in BELIEVED},
         PAIRS: beam_of_pairs(data),
     }
     parts = strangers(work, data)
@@ -476,15 +485,16 @@ def main(data: Data, work: Work) -> Page:
         for rate in OTHER_RATES
     }
     of_measures = {
-        "beam, `--focal`": measured(real["beam, `--focal`"], work),
+        UNKNOWN: measured(real[UNKNOWN], work),
+        KNOWN: measured(real[KNOWN], work),
         PAIRS: measured(real[PAIRS], work),
         "captured": measured(held, work),
     }
-    focal_within, pairs_within, captured_within = (
+    unknown_within, focal_within, pairs_within, captured_within = (
         within(one.scores) for one in of_measures.values()
     )
-    judged_focal, judged_pairs = (
-        rows_of(real[name], work)[FILM_WAY] for name in ("beam, `--focal`", PAIRS)
+    judged_unknown, judged_focal, judged_pairs = (
+        rows_of(real[name], work)[FILM_WAY] for name in (UNKNOWN, KNOWN, PAIRS)
     )
     constant, slow, quick = (f"{100 * share:.0f}" for share in ERROR_SHARES)
     values: dict[str, str | int | Sheet] = {
@@ -498,8 +508,11 @@ def main(data: Data, work: Work) -> Page:
         "real": table(real, work),
         "captured": table(made, work),
         "measures": overview(of_measures),
+        "unknown_within": unknown_within,
         "focal_within": focal_within,
         "pairs_within": pairs_within,
+        "unknown_held": held_of(judged_unknown, slice(1)),
+        "unknown_depth": depth_of(judged_unknown),
         "focal_depth": depth_of(judged_focal),
         "pairs_depth": depth_of(judged_pairs),
         "pairs_held": held_of(judged_pairs, slice(1)),
@@ -510,7 +523,7 @@ def main(data: Data, work: Work) -> Page:
         "metres": f"{METRES:g}",
         "seconds": f"{CAPTURED_SECONDS:g}",
     }
-    first = real["beam, `--focal`"][0]
+    first = real[KNOWN][0]
     return Page("films", values, {"films": picture(first, drawn(first, work))})
 
 

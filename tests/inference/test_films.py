@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from poseterior.inference import film_draws, film_of, open_stream, sample_frames
 from poseterior.inference.films import film, gaps
 from poseterior.inference.films.coupling import Frame, _beside, coupled
+from poseterior.inference.films.lenses import film_lenses, rows_of_lens
 from poseterior.inference.films.parts import (
     LIMB_BONES,
     Parts,
@@ -21,6 +22,7 @@ from poseterior.inference.footage import Item
 from poseterior.inference.stream import all_draws
 from poseterior.probmodel import BadInput, PoseModel
 from poseterior.probmodel.body import bone_lengths, mean_torso
+from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.motion.lowpass import butterworth
 from poseterior.probmodel.roots import nearest_rotation
 from poseterior.probmodel.skeleton import BONES, TORSO_INDEX
@@ -313,7 +315,7 @@ def test_every_frame_gives_bodies(walk, tmp_path):
     """Lengths of thirty paths: ten of the draws of each of three frames with a pose."""
     lengths = film_draws(film_of(walk, rate=6.0, out=tmp_path / "film")).bone_length.values[0]
     of_frames = [one.bone_length.values[0] for _, one in all_draws(walk) if one.sizes["draw"]]
-    shared = [sum(row in own.tolist() for row in lengths[:, 0].tolist()) for own in of_frames]
+    shared = [sum(row in own.tolist() for row in lengths.tolist()) for own in of_frames]
     assert len(lengths) == 30
     assert shared == [10, 10, 10]
 
@@ -474,3 +476,63 @@ def test_paths_forget_in_time_and_not_in_frames(drawn, like):
     assert slow == pytest.approx(quick, abs=0.12)
     assert kept_places(16.0, 0.25, 0.1, drawn, like) < 0.35 < slow < 0.58
     assert kept_places(16.0, 0.25, math.inf, drawn, like) > 0.6
+
+
+# --- the focal length of a film
+
+
+def test_a_film_has_one_focal_length_as_often_as_frames_have_it() -> None:
+    """Frames with 3 and 1 of 4, and 1 and 3 of 4 draws, and one with 2 of 2: geometric means of
+    (count + 1/2), by hand."""
+    frames = [np.array(one) for one in ([5.0, 5, 5, 9], [9.0, 9, 9, 5], [9.0, 9])]
+    focal, share = film_lenses(frames)
+    assert focal.tolist() == [5, 9]
+    own = (3.5 * 1.5 * 0.5) ** (1 / 3), (1.5 * 3.5 * 2.5) ** (1 / 3)
+    np.testing.assert_allclose(share, np.array(own) / sum(own))
+    assert [part.tolist() for part in film_lenses([np.full(3, 7.0)] * 2)] == [[7], [1]]
+    unknown, all_of_it = film_lenses([np.full(3, np.nan)] * 2)
+    assert np.isnan(unknown).tolist() == [True]
+    assert all_of_it.tolist() == [1]
+
+
+def test_rows_of_a_frame_have_the_films_focal_length_or_the_next() -> None:
+    focal = np.array([5.0, 9, 5, 20])
+    assert rows_of_lens(focal, 5.0, 3).tolist() == [0, 2, 0]
+    assert rows_of_lens(focal, 13.0, 2).tolist() == [1, 1]  # 13/9 is less than 20/13
+    assert rows_of_lens(focal, 14.0, 1).tolist() == [3]
+    assert rows_of_lens(np.full(3, np.nan), np.nan, 4).tolist() == [0, 1, 2, 0]
+
+
+FOCAL, CENTRE = [700.0, 1400.0], np.array([300.0, 200.0])
+
+
+@pytest.fixture(scope="module")
+def before_a_camera(model, tmp_path_factory: pytest.TempPathFactory):
+    """A stream of three frames of one person before a camera of two possible focal lengths."""
+    out = tmp_path_factory.mktemp("camera")
+    seen_by = model.seen_by(Lens(np.array(FOCAL), CENTRE))
+    items = [Item(f"frame_{at}/0", prior_scene(model, 3, factor=0.6)) for at in range(3)]
+    sample_frames(seen_by, items, key=key(0), out=out, num_samples=40, k=2, keep=40, num_roots=150)
+    return out
+
+
+def test_every_path_has_one_focal_length_and_stands_before_it(before_a_camera, tmp_path):
+    """As often as the frames' draws say; and where a path's pelvis is, is where a pinhole of its
+    focal length sees one of the frame's own draws of that focal length."""
+    found = film_draws(film_of(before_a_camera, rate=6.0, out=tmp_path / "film"))
+    focal = found.focal.values[0]
+    held = [one.isel(chain=0) for _, one in all_draws(before_a_camera)]
+    own, share = film_lenses([one.focal.values for one in held])
+    counts = [np.count_nonzero(focal == one) for one in own]
+    assert counts == pytest.approx(40 * share, abs=1)
+    assert 0 < counts[0] < 40
+    assert len(np.unique(focal[:20])) == 2  # the first paths are no others
+    place = found.place.values[0]
+    assert place.shape == (40, 3, 3)
+    for at, frame in enumerate(held):
+        for one, standing in zip(focal, place[:, at], strict=True):
+            drawn = frame.place.values[frame.focal.values == one]
+            assert np.abs(drawn - standing).max(axis=1).min() < 1e-4
+    summary = open_stream(tmp_path / "film")["summary"]
+    np.testing.assert_allclose(summary.place.values, place.mean(axis=0), rtol=1e-5)
+    assert np.isnan(open_stream(before_a_camera)["summary"].place.values).all()

@@ -167,7 +167,8 @@ def test_who_stands_in_place_is_seen_where_the_draws_are(items, tmp_path):
 
 @pytest.mark.parametrize("focal", [None, [800.0, 1000.0]])
 def test_without_one_focal_length_nobody_stands_anywhere(model, items, tmp_path, focal):
-    """Nor where it is drawn: draws of one frame and of the next would stand elsewhere."""
+    """Nor where it is drawn: draws of one frame and of the next would stand elsewhere. But every
+    draw stands somewhere by its own."""
     options = SETTINGS
     if focal is not None:
         model = model.seen_by(Lens(np.array(focal), np.array([300.0, 200.0])))
@@ -176,6 +177,13 @@ def test_without_one_focal_length_nobody_stands_anywhere(model, items, tmp_path,
     tree = open_stream(tmp_path)
     assert np.isnan(tree["summary"].place.values).all()
     assert np.isnan(tree["hypotheses"].place.values).all()
+    drawn = draws_of(tmp_path, items[0].name)
+    if focal is None:
+        assert np.isnan([*drawn.focal.values.ravel(), *drawn.place.values.ravel()]).all()
+    else:
+        assert set(drawn.focal.values.ravel().tolist()) == set(focal)
+        near = drawn.place.values[0, :, 2] / drawn.focal.values[0]
+        assert np.ptp(near) < 0.5 * near.mean()  # one over the scale: how large the person appears
 
 
 # --- an uncertain root
@@ -283,7 +291,7 @@ def test_what_is_kept_is_as_large_as_is_said(model, items, tmp_path):
     """The values of one frame's draws, in bytes."""
     sample_frames(model, items[:1], key=key(0), out=tmp_path, **SETTINGS)
     draws = draws_of(tmp_path, items[0].name)
-    values = draws.joints.nbytes + draws.bone_length.nbytes + draws.place.nbytes
+    values = sum(draws[name].nbytes for name in stream.PoseDraws._fields)
     assert values == SETTINGS["keep"] * stream.DRAW_BYTES
 
 

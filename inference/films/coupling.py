@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from poseterior.inference.exact.groups import workers
 from poseterior.inference.films.parts import LIMB_BONES, Parts, PathBodies
 from poseterior.probmodel.skeleton import BONES, TORSO_INDEX
 
@@ -116,11 +117,15 @@ def _following(recent: Parts | None, frame: Frame, body: PathBodies, in_world: b
         torso = _assigned(apart)
     turn, direction = drawn.turn[torso], np.empty_like(drawn.direction)
     own = OWN_TORSO / 2 * _squares(turn, drawn.turn)
-    for bones in LIMB_BONES:
+
+    def hang(bones: tuple[int, ...]) -> None:
         cost = own + OWN_IMAGE * _beside(turn, body, frame, bones, 3 if in_world else 2)
         if recent is not None:
             cost += _squares(recent.direction[:, bones], drawn.direction[:, bones])
         direction[:, bones] = drawn.direction[_assigned(cost)][:, bones]
+
+    for _ in workers().map(hang, LIMB_BONES):
+        pass
     return Parts(turn, direction, drawn.place[torso])
 
 

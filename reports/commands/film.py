@@ -1,8 +1,13 @@
 """`poseterior film`: whole paths of one person in a film, a stream whose draws follow each other in
 time, and its page."""
 
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
 from poseterior.inference.films.film import FRAMES_FOLDER, film_of
-from poseterior.inference.stream import open_stream
+from poseterior.inference.stream import draws_of, open_stream
 from poseterior.reports import console
 from poseterior.reports.commands import frames
 from poseterior.reports.options import Screen
@@ -40,6 +45,8 @@ def run(settings: FilmSettings, screen: Screen) -> None:
             f"{about['keep']} paths, each of one body; film_draws opens them. {told} as"
             " in a single one: what paths add is how it changes, and gaps"
         )
+        if several := _focal_lengths(out, film):
+            console.say(f"Each path has one focal length, the film's: {several}")
         law = None if settings.drawn_before else settings.estimation.likelihood().learned
         if law is not None and number > 1:
             worth = law.worth(number, settings.fps / about["step"])
@@ -54,3 +61,16 @@ def run(settings: FilmSettings, screen: Screen) -> None:
         )
     for sentence in warnings:
         console.warn(sentence)
+
+
+def _focal_lengths(out: Path, film: xr.DataTree) -> str:
+    """How many of the paths have which focal length, in words; nothing where all have one, or none
+    is known."""
+    first = draws_of(out, str(film["summary"].frame.values[0]))
+    if "focal" not in first:
+        return ""
+    found, counts = np.unique(first.focal.values, return_counts=True)
+    if len(found) < 2:
+        return ""
+    some = zip(found.tolist(), (counts / counts.sum()).tolist(), strict=True)
+    return ", ".join(f"{focal:,.0f} pixels {share:.0%}" for focal, share in some)

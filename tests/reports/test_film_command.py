@@ -90,6 +90,22 @@ def test_a_film_is_whole_paths_and_a_second_call_goes_on(poseterior: Cli, tmp_pa
         assert words in refused.err, refused
 
 
+def test_the_focal_lengths_of_paths_are_said(poseterior: Cli, tmp_path: Path) -> None:
+    """With how many of the paths have each; where the focal length is known, nothing is."""
+    path = film(tmp_path / "film.json", NAMES[:2])
+    for focal, said in (("unknown", True), (900, False)):
+        out = tmp_path / str(focal)
+        words = ("--focal", focal, "--image-size", "640x480", "--fps", 20, "--out", out)
+        run = poseterior("film", path, *words, "--num-samples", 12, "--roots", 60, "--quiet")
+        assert run.code == 0, run
+        assert ("Each path has one focal length, the film's:" in run.out) is said, run.out
+        lengths, counts = np.unique(film_draws(out).focal.values, return_counts=True)
+        assert (len(lengths) > 1) is said
+        for length, count in zip(lengths, counts, strict=True):
+            words_of_it = f"{length:,.0f} pixels {count / counts.sum():.0%}"
+            assert (words_of_it in " ".join(run.out.split())) is said
+
+
 def test_what_can_be_no_film_is_said_before_anything_is_drawn(
     poseterior: Cli, tmp_path: Path
 ) -> None:

@@ -17,18 +17,20 @@ because few draws have missed it."""
 
 def film_lenses(frames: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Of frames whose draws have these focal lengths `(n,)`, those `(k,)` that the film may have,
-    and their probabilities `(k,)`; a NaN where none is known."""
-    focal = np.unique(np.concatenate(frames))  # one NaN, if any
-    if len(focal) == 1:
-        return focal, np.ones(1)
-    counts = np.array([[np.count_nonzero(one == own) for own in focal] for one in frames])
+    and their probabilities `(k,)`. A NaN where none was drawn: in weak perspective, and where each
+    frame has a known one, but not all the same."""
+    own = [np.unique(one[np.isfinite(one)]) for one in frames]
+    focal = np.unique(np.concatenate(own))
+    if max(map(len, own)) < 2:
+        return focal if len(focal) == 1 else np.array([np.nan]), np.ones(1)
+    counts = np.array([[np.count_nonzero(one == value) for value in focal] for one in frames])
     return focal, softmax(np.log(counts + UNSEEN).mean(axis=0))
 
 
 def rows_of_lens(focal: np.ndarray, own: float, number: int) -> np.ndarray:
     """`number` rows of a frame's draws, whose focal lengths `(n,)` these are, that have one of the
-    film's, or the next one that the frame has; again from the first where there are fewer."""
-    if np.isnan(own):
-        return np.resize(np.arange(len(focal)), number)
+    film's, or the next one that the frame has, if it has any; again from the first where there are
+    fewer."""
     away = np.abs(np.log(focal / own))
-    return np.resize(np.flatnonzero(away == away.min()), number)
+    near = np.flatnonzero(away == np.nanmin(away)) if np.isfinite(away).any() else range(len(focal))
+    return np.resize(near, number)

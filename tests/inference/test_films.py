@@ -493,6 +493,12 @@ def test_a_film_has_one_focal_length_as_often_as_frames_have_it() -> None:
     unknown, all_of_it = film_lenses([np.full(3, np.nan)] * 2)
     assert np.isnan(unknown).tolist() == [True]
     assert all_of_it.tolist() == [1]
+    zoomed, all_of_it = film_lenses([np.full(3, 7.0), np.full(3, 8.0)])  # known in each frame
+    assert np.isnan(zoomed).tolist() == [True]
+    assert all_of_it.tolist() == [1]
+    weakly = film_lenses([*frames, np.full(2, np.nan)])[1]  # says nothing
+    own = np.array(own) ** (3 / 4) * 0.5 ** (1 / 4)
+    np.testing.assert_allclose(weakly, own / own.sum())
 
 
 def test_rows_of_a_frame_have_the_films_focal_length_or_the_next() -> None:
@@ -500,7 +506,10 @@ def test_rows_of_a_frame_have_the_films_focal_length_or_the_next() -> None:
     assert rows_of_lens(focal, 5.0, 3).tolist() == [0, 2, 0]
     assert rows_of_lens(focal, 13.0, 2).tolist() == [1, 1]  # 13/9 is less than 20/13
     assert rows_of_lens(focal, 14.0, 1).tolist() == [3]
-    assert rows_of_lens(np.full(3, np.nan), np.nan, 4).tolist() == [0, 1, 2, 0]
+    for own in (np.nan, 5.0):
+        assert rows_of_lens(np.full(3, np.nan), own, 4).tolist() == [0, 1, 2, 0]
+    assert rows_of_lens(focal, np.nan, 5).tolist() == [0, 1, 2, 3, 0]
+    assert rows_of_lens(np.array([5.0, np.nan]), 6.0, 2).tolist() == [0, 0]
 
 
 FOCAL, CENTRE = [700.0, 1400.0], np.array([300.0, 200.0])

@@ -71,12 +71,12 @@ OUTLIERS = np.array([[False, False], [True, False], [False, True], [True, True]]
 class FaultPattern(NamedTuple):
     """The faults of the torso's keypoints, `faults`; the `exchanges`, indices into
     `faults.EXCHANGES`, that come with them; the `lens`, where there may be several; and for how
-    many lenses this one stands, which was taken from them at random."""
+    many lenses it stands, if it was taken from them at random: one over the chance that it had."""
 
     faults: Faults
     exchanges: tuple[int, ...]
     lens: int | None = None
-    stands_for: int = 1
+    stands_for: float = 1.0
 
 
 def fault_patterns(posterior: Posterior) -> list[FaultPattern]:

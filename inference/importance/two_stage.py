@@ -10,8 +10,8 @@ effective roots and nothing else.
 A pilot run estimates how much oversampling is needed. Where the detector has faults,
 every pattern of the torso's faults gets a share of the roots: the pilot run estimates
 what it has of the posterior. Where there may be several focal lengths, so does each of
-these; but faults that are rare under one of them are looked at under one that is taken
-at random, and stands for all.
+these; but faults that are rare under the best of them are looked at under one that is
+taken at random, and stands for all.
 """
 
 import itertools
@@ -65,8 +65,8 @@ rest, and made no more effective roots."""
 COARSE_LEVELS = 0
 """Levels of the cells of faults, of which most are never seen."""
 RARE_ODDS = 0.002
-"""Odds of faults against none, under the focal length in the middle, below which one focal
-length stands for all."""
+"""Odds of faults against none, under the best focal length, below which one focal length
+stands for all."""
 PILOT_PROPOSALS = 1 << 20
 """Proposals for a pattern in the pilot run."""
 FEW_PROPOSALS = 1 << 21
@@ -105,7 +105,7 @@ class ProposedRoots(NamedTuple):
         proposed.
     wanted : how many roots there would be, had the budget been large enough.
     proposals : how many were made.
-    stands_for : `(patterns,)`: for how many focal lengths that of each pattern stands.
+    stands_for : `(patterns,)`: as `FaultPattern` has it.
     """
 
     points: RootPoint
@@ -136,8 +136,8 @@ class ProposedRoots(NamedTuple):
         of taking some of them, by so even a count that about their mean 1/n only what
         might have been left out counts, Σ (1 - chance) · (share - 1/n)² (Hájek 1964).
         From the sum goes what the number of proposals is known by. A pattern whose focal
-        length stands for others has a variance of its share squared at most: so much is
-        added."""
+        length stands for others has a variance that is, in the mean, at most the square
+        of the share that was found: so much is added."""
         of_patterns = np.bincount(self.pattern, share, minlength=len(self.made))
         held = of_patterns > 0
         proposed = float(np.sum(of_patterns[held] ** 2 / self.made[held]))
@@ -191,6 +191,11 @@ class Pilot(NamedTuple):
     estimate: np.ndarray
     score: float
     proposals: int
+
+    @property
+    def likely(self) -> bool:
+        """Whether it brought any root, and was of this very pattern."""
+        return len(self.estimate) > 0 and self.plan.pattern.stands_for == 1
 
 
 class PatternRoots(NamedTuple):
@@ -260,7 +265,7 @@ def _plan(
         plan = pilot.plan._replace(
             share=own,
             oversampling=_oversampling(pilot.estimate) if ample else 1,
-            likely=len(pilot.estimate) > 0 or len(pilots) == 1,
+            likely=pilot.likely or len(pilots) == 1,
         )
         if len(pilots) > 1 and lenses == 1 and own > FINE_SHARE:
             plan = plan._replace(proposal=weighted_proposal(plan.problem))
@@ -276,34 +281,34 @@ def _of_faults(
     budget: Budget,
     rng: np.random.Generator,
 ) -> tuple[list[Pilot], int]:
-    """Pilot runs of no faults under every lens, and of faults under that in the middle;
-    where they are not rare under it, under every lens, otherwise one that is taken at
-    random stands for all. And how many proposals that took."""
-    first_key, second_key = jax.random.split(key)
-    middle, faulty = lenses // 2, list(itertools.batched(patterns[lenses:], lenses))
+    """Pilot runs of no faults under every lens, and of faults under the best of them; where they
+    are not rare under it, under every lens, otherwise one that is taken at random stands
+    for all. And how many proposals that took."""
+    keys = jax.random.split(key, 3)
     plans = _prepared(posterior, patterns[:lenses], ROUGH_LEVELS)
-    plans += _prepared(posterior, [same[middle] for same in faulty], COARSE_LEVELS)
-    pilots = _pilots(posterior, plans, first_key, budget)
-    made = sum(pilot.proposals for pilot in pilots)
+    sound = _pilots(posterior, plans, keys[0], budget)
+    score = np.array([pilot.score for pilot in sound])
+    best, faulty = int(np.argmax(score)), list(itertools.batched(patterns[lenses:], lenses))
+    plans = _prepared(posterior, [same[best] for same in faulty], COARSE_LEVELS)
+    asked = _pilots(posterior, plans, keys[1], budget)
+    made = sum(pilot.proposals for pilot in (*sound, *asked))
     if lenses == 1:
-        return pilots, made
-    sound, asked = pilots[:lenses], pilots[lenses:]
-    usual = sound[middle].score + math.log(RARE_ODDS)
-    rare = [pilot.score <= usual for pilot in asked]
-    stand_ins = [
-        same[rng.integers(lenses)]._replace(stands_for=lenses)
-        for same in itertools.compress(faulty, rare)
-    ]
+        return sound + asked, made
+    usual = score[best] + math.log(RARE_ODDS)
+    rare = [math.isfinite(usual) and pilot.score <= usual for pilot in asked]
+    chance, stand_ins = _shares(score), []
+    for same in itertools.compress(faulty, rare):
+        lens = int(rng.choice(lenses, p=chance))
+        stand_ins.append(same[lens]._replace(stands_for=1 / float(chance[lens])))
     known = itertools.compress(asked, rare)
     plans = _prepared(posterior, stand_ins, COARSE_LEVELS)
-    sound += [
-        pilot._replace(plan=plan, score=pilot.score + math.log(lenses))
+    found = sound + [
+        pilot._replace(plan=plan, score=pilot.score + float(logsumexp(score - score[best])))
         for pilot, plan in zip(known, plans, strict=True)
     ]
-    often = itertools.compress(faulty, np.logical_not(rare))
-    plans = _prepared(posterior, list(itertools.chain(*often)), ROUGH_LEVELS)
-    more = _pilots(posterior, plans, second_key, budget)
-    return sound + more, made + sum(pilot.proposals for pilot in more)
+    often = itertools.chain(*itertools.compress(faulty, np.logical_not(rare)))
+    more = _pilots(posterior, _prepared(posterior, list(often), ROUGH_LEVELS), keys[2], budget)
+    return found + more, made + sum(pilot.proposals for pilot in more)
 
 
 def _prepared(posterior: Posterior, patterns: list[FaultPattern], levels: int) -> list[PatternPlan]:

@@ -154,8 +154,12 @@ def test_a_pattern_that_a_pilot_run_did_not_find_is_not_looked_for_for_ever(
     found = posterior(Row(UNCERTAIN, "", "disc", faults="outliers"))
     estimates = iter([np.zeros(5), np.zeros(0), np.zeros(3)])
     monkeypatch.setattr(two_stage, "weighted_proposal", lambda *_: SimpleNamespace())
-    pilots = [SimpleNamespace(proposals=number, log_evidence=0.0) for number in (1, 10, 100)]
-    monkeypatch.setattr(two_stage, "_draw", lambda *_: pilots)
+    numbers = iter((1, 10, 100))
+
+    def drawn(plans: list[two_stage.PatternPlan], *_: Any) -> list[Any]:
+        return [SimpleNamespace(proposals=next(numbers), log_evidence=0.0) for _ in plans]
+
+    monkeypatch.setattr(two_stage, "_draw", drawn)
     monkeypatch.setattr(two_stage, "_pilot_estimate", lambda *_: next(estimates))
     plans, spent = two_stage._plan(found, key(0), Budget(1000), True, np.random.default_rng(0))
     assert [plan.likely for plan in plans] == [True, False, True]
@@ -163,11 +167,15 @@ def test_a_pattern_that_a_pilot_run_did_not_find_is_not_looked_for_for_ever(
 
 
 LENSES, COMMON = 3, math.log(0.7)
+SOUND = np.array([0.2, 1.0, 0.05])
+"""What no faults have under each focal length."""
 
 
-def planned(monkeypatch: pytest.MonkeyPatch, odds: float, seed: int) -> list[two_stage.PatternPlan]:
+def planned(
+    monkeypatch: pytest.MonkeyPatch, odds: float, seed: int, sound: np.ndarray = SOUND
+) -> list[two_stage.PatternPlan]:
     """Plans of no outlier, of one of a shoulder and of one of a hip, under three focal lengths,
-    where the pilot runs give the shoulder such odds under that in the middle, and the hip 0.3."""
+    where pilot runs give the shoulder such odds, and the hip 0.3, under each of them."""
     found = posterior(Row(UNCERTAIN, "", "disc", faults="outliers"))
     several = [
         pattern._replace(lens=lens) for pattern in fault_patterns(found) for lens in range(LENSES)
@@ -179,38 +187,54 @@ def planned(monkeypatch: pytest.MonkeyPatch, odds: float, seed: int) -> list[two
     monkeypatch.setattr(two_stage, "weighted_proposal", lambda problem, *_: problem)
 
     def drawn(plans: list[two_stage.PatternPlan], *_: Any) -> list[Any]:
-        evidence = [math.log(score[id(plan.pattern.faults)]) + COMMON for plan in plans]
-        return [SimpleNamespace(proposals=1, log_evidence=value) for value in evidence]
+        own = [score[id(plan.pattern.faults)] * sound[plan.pattern.lens] for plan in plans]
+        with np.errstate(divide="ignore"):
+            return [SimpleNamespace(proposals=1, log_evidence=np.log(one) + COMMON) for one in own]
 
     monkeypatch.setattr(two_stage, "_draw", drawn)
     monkeypatch.setattr(two_stage, "_pilot_estimate", lambda *_: np.zeros(1))
     monkeypatch.setattr(two_stage, "_log_prior", lambda *_: 0.0)
     rng = np.random.default_rng(seed)
     plans, spent = two_stage._plan(found, key(0), Budget(1000), True, rng)
-    assert spent == 5 + 3 * (len(plans) // LENSES - 1)  # every pilot run is counted
+    anew = sum(plan.pattern.stands_for == 1 for plan in plans) - LENSES
+    assert spent == LENSES + 2 + anew  # every pilot run is counted
     for plan in plans:
         assert plan.problem == (plan.pattern.faults, plan.pattern.lens)
+        assert plan.likely == (plan.pattern.stands_for == 1)
     return plans
 
 
 def test_rare_faults_are_looked_at_under_one_focal_length_that_stands_for_all(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Odds of 0.001 are rare, of 0.3 are not. What stands for three has the share of three."""
-    shares, lenses = [], []
-    for seed in range(30):
+    """Odds of 0.001 are rare, of 0.3 are not. A focal length stands for as many as its chance says,
+    which is what no faults have under it, and an even tenth; its share is that of all of them."""
+    chance = 0.9 * SOUND / SOUND.sum() + 0.1 / LENSES
+    runs, lenses = 60, []
+    for seed in range(runs):
         plans = planned(monkeypatch, 0.001, seed)
-        stood = [plan.pattern.stands_for for plan in plans]
-        assert stood == [1, 1, 1, 3, 1, 1, 1]
         assert [plan.pattern.lens for plan in plans[:3] + plans[4:]] == 2 * [0, 1, 2]
-        lenses.append(plans[3].pattern.lens)
-        shares.append([plan.share for plan in plans])
-    assert min(lenses.count(lens) for lens in range(LENSES)) >= 3  # a third each; fewer: 1 %
-    score = np.array([1, 1, 1, 0.003, 0.3, 0.3, 0.3])
-    np.testing.assert_allclose(shares[0], 0.9 * score / score.sum() + 0.1 / 7)
+        lens = plans[3].pattern.lens
+        assert lens is not None
+        stood = [plan.pattern.stands_for for plan in plans]
+        np.testing.assert_allclose(stood, [1, 1, 1, 1 / chance[lens], 1, 1, 1])
+        lenses.append(lens)
+    counts = np.bincount(lenses, minlength=LENSES)
+    assert stats.chisquare(counts, runs * chance).pvalue > 1e-3
+    score = np.array([*SOUND, 0.001 * SOUND.sum(), *(0.3 * SOUND)])
+    share = [plan.share for plan in plans]
+    np.testing.assert_allclose(share, 0.9 * score / score.sum() + 0.1 / 7)
     often = planned(monkeypatch, 0.1, 0)
     assert [plan.pattern.stands_for for plan in often] == [1] * 9
     assert [plan.pattern.lens for plan in often] == 3 * [0, 1, 2]
+
+
+def test_faults_are_rare_beside_the_best_focal_length(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the one in the middle explains nothing, faults of odds 0.1 are not rare for that; where
+    none does, nothing is."""
+    for sound in (np.array([0.0, 0.0, 1.0]), np.zeros(3)):
+        plans = planned(monkeypatch, 0.1, 0, sound)
+        assert [plan.pattern.stands_for for plan in plans] == [1] * 9
 
 
 def fake_plan(share: float, oversampling: int = 8, stands_for: int = 1) -> Any:

@@ -134,7 +134,7 @@ def test_an_unknown_focal_length_is_a_mixture() -> None:
 
 
 SIMILAR = np.linspace(500.0, 850.0, 5)
-RUNS = 8
+RUNS = 12
 
 
 def faulty(rare_odds: float, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
@@ -156,11 +156,11 @@ def faulty(rare_odds: float, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
 @pytest.mark.slow
 def test_rare_faults_under_one_focal_length_count_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same evidence in the mean as where every focal length has its own, within 4.5 standard
-    errors and a fifth; uncounted, it would be a fifth of it."""
+    errors and a quarter; uncounted, it would be a fifth of it."""
     own, alone = (faulty(odds, monkeypatch) for odds in (1e-300, 1e300))
     error = math.hypot(stats.sem(own), stats.sem(alone))
-    assert error < 0.05 * own.mean()
-    assert abs(own.mean() - alone.mean()) < min(LIMIT * error, 0.2 * own.mean())
+    assert error < 0.08 * own.mean()
+    assert abs(own.mean() - alone.mean()) < min(LIMIT * error, 0.25 * own.mean())
 
 
 @pytest.mark.sweep

@@ -921,16 +921,24 @@ class CoverageJudgeSettings:
             raise BadInput(f"--recalibrate is of one file, not of {len(self.files)}")
         if self.together and len(self.files) == 1:
             raise BadInput("--together means nothing for one file; give more, or leave it out")
+        if len({path.resolve() for path in self.files}) < len(self.files):
+            raise BadInput("a file is given twice; leave it out once")
         if len(self.named) < len(self.files):
-            raise BadInput("two of the files have one name; results are named by it")
+            raise BadInput("two of the files differ in their endings alone; rename one of them")
 
     @property
     def named(self) -> dict[str, Path]:
         """The files by what results of them are called: their own names, or, where these are not
-        different, with the names of their folders."""
-        if len({path.stem for path in self.files}) == len(self.files):
-            return {path.stem: path for path in self.files}
-        return {f"{path.resolve().parent.name}-{path.stem}": path for path in self.files}
+        different, with those of as many of their folders as tell them apart."""
+        parts = [path.resolve().with_suffix("").parts[1:] for path in self.files]
+        named: dict[str, Path] = {}
+        for depth in range(1, 1 + max(map(len, parts))):
+            named = {
+                "-".join(part[-depth:]): path for part, path in zip(parts, self.files, strict=True)
+            }
+            if len(named) == len(self.files):
+                break
+        return named
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -193,7 +193,8 @@ def of_the_person(view: PersonView) -> bool:
 
 def even(views: Sequence[PersonView], number: int) -> list[PersonView]:
     """At most so many views of which something is known, as many of each person as of any other
-    while there are that many, evenly over theirs."""
+    while there are that many, evenly over theirs. Raises `BadInput` where nothing is known of any,
+    or so many are fewer than one of each."""
     own: dict[str, list[PersonView]] = {}
     for view in views:
         joints = view.truth[list(JUDGED)]
@@ -205,9 +206,12 @@ def even(views: Sequence[PersonView], number: int) -> list[PersonView]:
         raise BadInput(
             "no view shows a limb's joint and a pair of hips or shoulders whose truth is known"
         )
-    most = next(
-        (n for n in range(counts[-1], 0, -1) if sum(min(n, c) for c in counts) <= number), 1
-    )
+    if number < len(own):
+        raise BadInput(
+            f"{number} views are fewer than one of each of {len(own)} people; ask for more"
+            " (--frames)"
+        )
+    most = next(n for n in range(counts[-1], 0, -1) if sum(min(n, c) for c in counts) <= number)
     return [some[row] for some in own.values() for row in evenly(len(some), most)]
 
 

@@ -1,6 +1,7 @@
 """`poseterior film`: whole paths of one person in a film, a stream whose draws follow each other in
 time, and its page."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -36,8 +37,9 @@ def run(settings: FilmSettings, screen: Screen) -> None:
             k=settings.k,
             progress=step,
         )
-    frames.show(settings, fragments, screen)
     film = open_stream(out)
+    lenses = _focal_lengths(out, film)
+    frames.show(settings, fragments, screen, {"focal": lenses})
     about, number = film.attrs, film["summary"].sizes["frame"]
     if not screen.json:
         told = "Depth in a frame is as open" if "views" not in about else "A frame says as much"
@@ -45,8 +47,9 @@ def run(settings: FilmSettings, screen: Screen) -> None:
             f"{about['keep']} paths, each of one body; film_draws opens them. {told} as"
             " in a single one: what paths add is how it changes, and gaps"
         )
-        if several := _focal_lengths(out, film):
-            console.say(f"Each path has one focal length, the film's: {several}")
+        if len(lenses) > 1:
+            said = ", ".join(f"{focal:,.0f} pixels {share:.0%}" for focal, share in lenses)
+            console.say(f"Each path has one focal length, the film's: {said}")
         law = None if settings.drawn_before else settings.estimation.likelihood().learned
         if law is not None and number > 1:
             worth = law.worth(number, settings.fps / about["step"])
@@ -63,14 +66,9 @@ def run(settings: FilmSettings, screen: Screen) -> None:
         console.warn(sentence)
 
 
-def _focal_lengths(out: Path, film: xr.DataTree) -> str:
-    """How many of the paths have which focal length, in words; nothing where all have one, or none
-    is known."""
+def _focal_lengths(out: Path, film: xr.DataTree) -> list[tuple[float, float]]:
+    """The focal lengths of the paths, pixels, and how many have each; none in weak perspective."""
     first = draws_of(out, str(film["summary"].frame.values[0]))
-    if "focal" not in first:
-        return ""
     found, counts = np.unique(first.focal.values, return_counts=True)
-    if len(found) < 2:
-        return ""
     some = zip(found.tolist(), (counts / counts.sum()).tolist(), strict=True)
-    return ", ".join(f"{focal:,.0f} pixels {share:.0%}" for focal, share in some)
+    return [one for one in some if math.isfinite(one[0])]

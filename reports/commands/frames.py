@@ -2,8 +2,9 @@
 where it was stopped, and its film as a page."""
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -141,8 +142,14 @@ def _fill(
         )
 
 
-def show(settings: FramesSettings | FilmSettings, fragments: Sequence[str], screen: Screen) -> None:
-    """The tables, the picture and the page of the stream in `settings.out`."""
+def show(
+    settings: FramesSettings | FilmSettings,
+    fragments: Sequence[str],
+    screen: Screen,
+    about: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
+    """The tables, the picture and the page of the stream in `settings.out`; what there is to say
+    `about` it besides goes into the JSON."""
     out = settings.out
     with console.progress("the film", screen.quiet):
         tree = open_stream(out)
@@ -158,7 +165,7 @@ def show(settings: FramesSettings | FilmSettings, fragments: Sequence[str], scre
     opens = "open_stream opens it" + (", draws_of its draws" if tree.attrs["keep"] else "")
     console.show(
         screen.json,
-        tables.stream_json(summary) | {"fragments": list(fragments), "out": str(out)},
+        tables.stream_json(summary) | {"fragments": list(fragments), "out": str(out), **about},
         *tables.stream_lines(summary, fragments),
         tables.people_of_film(summary),
         tables.film_table(summary),

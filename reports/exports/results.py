@@ -325,7 +325,8 @@ def _poses_of(path: Path, wanted: Wanted, tree: xr.DataTree) -> xr.Dataset:
     if wanted.what is not None:
         raise BadInput("a path is whole; leave --what or --path-number out")
     paths = film_draws(path)
-    if not 0 <= wanted.path < (number := paths.sizes["draw"]):
+    number = paths.sizes["draw"]
+    if not 0 <= wanted.path < number:
         raise BadInput(f"{path} has no path {wanted.path}; choose one from 0 to {number - 1}")
     return paths.isel(chain=0, draw=wanted.path)
 

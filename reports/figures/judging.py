@@ -19,7 +19,7 @@ MOST_PANELS, IN_A_ROW = 7, 4
 
 def judged_figure(found: Judged) -> Figure:
     """Left the distribution functions of the levels, as `arviz_plots.plot_ecdf_pit` has them; then
-    the map: what central intervals of the quantity that fails most hold, by each covariate, with
+    the map: what central intervals of the `worst` quantity hold, by each covariate, with
     bands that keep 95 % along a curve."""
     covariates = [] if found.map is None else found.map.covariate.values[:MOST_PANELS].tolist()
     number = 1 + len(covariates)

@@ -39,7 +39,7 @@ from poseterior.reports.pages.strangers import (
     views_of_session,
 )
 from poseterior.reports.tables.coverage import share
-from poseterior.reports.tables.judging import map_table
+from poseterior.reports.tables.judging import map_table, worst
 from poseterior.reports.tables.sheet import Column, Sheet, sheet_of
 
 COVERED_DRAWS = 200
@@ -96,6 +96,7 @@ def main(data: Data, work: Work) -> Page:
             "covered_draws": COVERED_DRAWS,
             "held": _held_table(found),
             "judged": _judged_table(said),
+            "worst": worst(said[VIEWS]),
             "map": map_table(said[VIEWS]),
             "film_views": FILM_VIEWS,
             "recalibrated": _recalibrated_table(level, np.array(people)),

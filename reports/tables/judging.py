@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from poseterior.inference.studies.intervals import Interval
 from poseterior.inference.studies.judging.judge import Judged
 from poseterior.inference.studies.judging.repair import NO_POSTERIOR, Recalibration
 from poseterior.inference.studies.judging.where import SHOWN
@@ -44,27 +45,18 @@ def covered_table(found: Judged) -> Sheet:
 
 
 def map_table(found: Judged) -> Sheet:
-    """Coverage of 50 % intervals of the quantity that fails most, by bins of each covariate."""
+    """Coverage of the `worst` quantity's intervals, by bins of each covariate."""
     assert found.map is not None
     quantity = worst(found)
     rows = []
     for covariate in found.map.covariate.values:
         part = found.map.sel(covariate=covariate, quantity=quantity)
         for place, words in enumerate(part.words.values):
-            if words:
-                at = part.isel(bin=place)
-                rows.append(
-                    (
-                        str(covariate),
-                        str(words),
-                        *(
-                            f"{float(at.share.sel(nominal=nominal)):.0%}"
-                            f" ({float(at.low.sel(nominal=nominal)):.0%}–"
-                            f"{float(at.high.sel(nominal=nominal)):.0%})"
-                            for nominal in SHOWN
-                        ),
-                    )
-                )
+            at = part.isel(bin=place)
+            if words and np.isfinite(at.share.values).all():  # of a bin whose truths are known
+                held = (at.sel(nominal=nominal) for nominal in SHOWN)
+                shares = (Interval(*map(float, (one.share, one.low, one.high))) for one in held)
+                rows.append((str(covariate), str(words), *map(share, shares)))
     head = [Column("covariate", left=True), Column("", left=True)]
     head += [Column(f"{nominal:.0%}") for nominal in SHOWN]
     return sheet_of(head, rows, title=f"Where: {quantity}")

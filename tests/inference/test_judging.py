@@ -210,6 +210,30 @@ def test_what_has_nothing_in_common_is_not_judged_as_one() -> None:
         joined({"one": (level, {}), "other": (other, {})})
     with pytest.raises(BadInput, match="mine has draws; only what `coverage` wrote"):
         joined({"one": (level, {}), "mine": Brought.of(case.draws, case.truth)})
+    numbers, words = {"x": np.arange(30)}, {"x": np.repeat("side", 30)}
+    for covariates in ((numbers, words), (file := {"file": np.arange(30)}, file)):
+        one, two = ((level, columns) for columns in covariates)
+        with pytest.raises(BadInput, match="of one and two is not one"):
+            joined({"one": one, "two": two})
+
+
+def test_failures_of_one_file_are_said_to_be_its_own() -> None:
+    level = np.random.default_rng(16).uniform(size=(60, 1))
+    level[30:40] = np.nan
+    table = xr.DataArray(level, dims=("simulation", "quantity"), coords={"quantity": ["a"]})
+    both = joined({"good": (table[:30], {}), "bad": (table[30:], {})})
+    assert "failed are 10 of 30 of bad, 0 of 30 of good" in judge_levels(*both).notes
+
+
+def test_what_no_part_shares_with_the_others_is_not_said_to_be_the_same() -> None:
+    """Of one detector's instances only a is known, of the other's only b."""
+    level = np.random.default_rng(17).uniform(size=(60, 2))
+    level[:30, 1] = level[30:, 0] = np.nan
+    table = xr.DataArray(level, dims=("simulation", "quantity"), coords={"quantity": [*"ab"]})
+    found = judge_levels(table, {"detector": np.repeat(["one", "other"], 30)})
+    assert found.local is None
+    assert any("no part of the instances can be compared" in note for note in found.notes)
+    assert "with 30 simulations" in found.sentence
 
 
 def test_leaves_are_of_words_numbers_and_both() -> None:

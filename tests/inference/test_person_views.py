@@ -9,7 +9,7 @@ import pytest
 
 from poseterior.inference.results import save_tree
 from poseterior.inference.studies.judging.files import read_judged
-from poseterior.inference.studies.person_views import JUDGED, ViewLevels, honesty, levels_tree
+from poseterior.inference.studies.person_views import JUDGED, ViewLevels, even, honesty, levels_tree
 from poseterior.probmodel import BadInput
 from poseterior.probmodel.datasets.person_views import is_person_views, read_person_views
 from poseterior.probmodel.skeleton import JOINT_INDEX, JOINTS
@@ -101,6 +101,16 @@ def test_intervals_are_counted_by_hand(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.error, 30.0)
     assert (found.views, found.people, found.silent) == (2, 2, 0)
     np.testing.assert_allclose([found.low, found.high], [np.zeros((2, 3)), np.ones((2, 3))])
+
+
+def test_views_are_as_many_of_each_person(tmp_path: Path) -> None:
+    """Of two people, of whom two views are one each; one view is fewer."""
+    views = read_person_views(written(tmp_path))
+    assert [view.person for view in even([*views, *views], 3)] == ["0 0", "0 1"]
+    assert len(even([*views, *views], 4)) == 4
+    for number in (1, 0, -3):
+        with pytest.raises(BadInput, match=f"{number} views are fewer than one of each of 2"):
+            even(views, number)
 
 
 def test_levels_of_views_are_named_by_joint_axis_and_middle(tmp_path: Path) -> None:

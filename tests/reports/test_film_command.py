@@ -79,6 +79,7 @@ def test_a_film_is_whole_paths_and_a_second_call_goes_on(poseterior: Cli, tmp_pa
         assert refused.err.count("\n") == 1
     for arguments, words in [
         ((out, "--path-number", 12), "has no path 12; choose one from 0 to 11"),
+        ((out, "--path-number", -1), "has no path -1; choose one from 0 to 11"),
         (
             (out, "--path-number", 1, "--what", "mean"),
             "a path is whole; leave --what or --path-number out",
@@ -104,6 +105,11 @@ def test_the_focal_lengths_of_paths_are_said(poseterior: Cli, tmp_path: Path) ->
         for length, count in zip(lengths, counts, strict=True):
             words_of_it = f"{length:,.0f} pixels {count / counts.sum():.0%}"
             assert (words_of_it in " ".join(run.out.split())) is said
+        again = poseterior("film", path, *words, "--num-samples", 12, "--roots", 60, "--json")
+        told = json.loads(again.out)["focal"]
+        assert told == [
+            [one, pytest.approx(part / 12)] for one, part in zip(lengths, counts, strict=True)
+        ]
 
 
 def test_what_can_be_no_film_is_said_before_anything_is_drawn(

@@ -9,9 +9,11 @@ import pytest
 import xarray as xr
 
 from poseterior.inference.studies.judging import recalibrate
+from poseterior.inference.studies.judging.judge import judge_levels
 from poseterior.inference.studies.judging.wrong import told
 from poseterior.probmodel import BadInput
-from poseterior.reports.tables.judging import recalibrated_table
+from poseterior.reports.settings import CoverageJudgeSettings
+from poseterior.reports.tables.judging import map_table, recalibrated_table
 from tests.conftest import Cli
 
 POSTERIORS = Path(__file__).parents[2] / "examples" / "posteriors"
@@ -66,14 +68,17 @@ def write_coverage(path: Path, detector: str) -> None:
         ),
         "covariates": xr.Dataset({"detector": ("simulation", np.repeat(detector, 60))}),
     }
-    path.parent.mkdir()
+    path.parent.mkdir(parents=True)
     xr.DataTree.from_dict(groups).to_netcdf(path)
 
 
 def test_files_of_one_name_are_told_by_their_folders(poseterior: Cli, tmp_path: Path) -> None:
     for name in ("openpose", "mediapipe"):
         write_coverage(tmp_path / name / "coverage.nc", name)
+    write_coverage(tmp_path / "later" / "openpose" / "coverage.nc", "openpose")
     files = [tmp_path / name / "coverage.nc" for name in ("openpose", "mediapipe")]
+    three = CoverageJudgeSettings(files=[*files, tmp_path / "later" / "openpose" / "coverage.nc"])
+    assert list(three.named)[2] == "later-openpose-coverage"
     run = poseterior("coverage", "judge", *files, "--json")
     assert list(json.loads(run.out)) == ["openpose-coverage", "mediapipe-coverage"], run.err
     run = poseterior("coverage", "judge", *files, "--together", "--out", tmp_path / "judged")
@@ -82,6 +87,18 @@ def test_files_of_one_name_are_told_by_their_folders(poseterior: Cli, tmp_path: 
     assert "mediapipe" in run.out
     with xr.open_datatree(tmp_path / "judged" / "together.nc") as tree:
         assert tree.attrs["source"] == "openpose-coverage, mediapipe-coverage"
+    for words, said in (
+        ((*files, files[0], "--together"), "a file is given twice"),
+        ((files[0], "--circular", "x"), "nothing that could be circular; leave --circular out"),
+        (
+            (files[0], "--recalibrate", tmp_path / "r.json", "--by", "detector"),
+            "all of coverage have one detector; leave --by out",
+        ),
+    ):
+        run = poseterior("coverage", "judge", *words)
+        assert run.code == 2
+        assert said in run.err
+        assert run.err.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -135,3 +152,17 @@ def test_joints_have_recalibrated_intervals() -> None:
     grouped = recalibrate(levels("right_wrist z"), by=("side", np.tile(["l", "r"], 100)))
     with pytest.raises(BadInput, match="the recalibration is by side"):
         recalibrated_table(tree, grouped)
+
+
+def test_a_bin_of_which_nothing_is_known_is_no_row_of_the_map() -> None:
+    level = np.random.default_rng(3).uniform(size=(60, 1))
+    level[:15] = np.nan
+    table = xr.DataArray(
+        np.column_stack([level, level[::-1]]),
+        dims=("simulation", "quantity"),
+        coords={"quantity": ["x", "y"]},
+    )
+    found = judge_levels(table, {"who": np.repeat([*"abcd"], 15)})
+    rows = map_table(found).json()
+    assert len(rows) == 3
+    assert "nan" not in str(rows)

@@ -122,6 +122,12 @@ def levels_by_quantity(simulation: xr.Dataset, of: str) -> xr.DataArray:
     return simulation["measure_level"].rename(measure="quantity")
 
 
+def _sizes(tests: xr.Dataset) -> str:
+    """Of how many simulations the tests are, in words."""
+    least, most = int(tests["size"].min()), int(tests["size"].max())
+    return f"{least} to {most}" if least < most else str(most)
+
+
 def _verdict(
     tests: xr.Dataset, failed: int, total: int, rejects: bool, proven: bool
 ) -> tuple[str, str]:
@@ -141,7 +147,7 @@ def _verdict(
         CALIBRATED,
         (
             f"no test of {number} rejects at {tests.attrs['false_alarm']:g} with"
-            f" {total - failed} simulations{missing}"
+            f" {_sizes(tests)} simulations{missing}"
         ),
     )
 

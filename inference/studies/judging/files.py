@@ -87,6 +87,11 @@ def read_judged(path: Path, circular: tuple[str, ...] = ()) -> Brought | Levels:
         with xr.open_datatree(path, engine="netcdf4") as tree:
             table = _group(tree, "simulation").load()
             if "posterior" not in tree.children and "level" in table:
+                if circular:
+                    raise BadInput(
+                        f"{path} has no draws any more, and so nothing that could be circular;"
+                        " leave --circular out"
+                    )
                 columns = _group(tree, COVARIATES_GROUP).load()
                 return table["level"], {str(name): one.values for name, one in columns.items()}
     return read_brought(path, circular)
@@ -106,12 +111,18 @@ def joined(files: Mapping[str, Brought | Levels]) -> Levels:
     levels = xr.concat([level for level, _ in parts.values()], "simulation", join="inner")
     if not levels.sizes["quantity"]:
         raise BadInput(f"{' and '.join(parts)} have no quantity in common; judge them one by one")
-    shared = set.intersection(*(set(known) for _, known in parts.values()))
+    each = [known for _, known in parts.values()]
     columns = {
-        name: np.concatenate([known[name] for _, known in parts.values()])
-        for name in next(iter(parts.values()))[1]
-        if name in shared
+        name: np.concatenate([known[name] for known in each])
+        for name in each[0]
+        if all(name in known for known in each)
     }
+    for name in columns:
+        if len({known[name].dtype.kind in "US" for known in each}) > 1 or name == WHICH_FILE:
+            raise BadInput(
+                f"the covariate {name} of {' and '.join(parts)} is not one: in some files numbers,"
+                " in others words, or a file's own number; give it another name"
+            )
     owner = np.repeat(list(parts), [level.sizes["simulation"] for level, _ in parts.values()])
     levels = levels.assign_coords(simulation=np.arange(levels.sizes["simulation"]))
     return levels, columns | {WHICH_FILE: owner}

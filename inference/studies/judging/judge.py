@@ -4,7 +4,7 @@ Half of the chance of a false alarm goes to tests of the levels (ranks of every 
 density, energy balls, TARP, a classifier), corrected by Holm, half to the test of where
 (`where.locally`)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,6 +27,7 @@ from poseterior.inference.studies.calibration.verdict import (
 )
 from poseterior.inference.studies.intervals import Interval
 from poseterior.inference.studies.judging.brought import FEWEST_INSTANCES, Brought, One
+from poseterior.inference.studies.judging.files import WHICH_FILE
 from poseterior.inference.studies.judging.learned import as_numbers, features, learned_levels
 from poseterior.inference.studies.judging.where import (
     SHOWN,
@@ -206,6 +207,7 @@ def judge_levels(
     `coverage.nc`, NaN for instances that failed. Raises `BadInput` as `judge_coverage`, but for
     covariates of one value, which are left out."""
     judged = level.notnull().any("quantity").values
+    notes = list(_of_files(covariates, judged))
     covariates = _varied({name: np.asarray(one)[judged] for name, one in covariates.items()})
     share = false_alarm / 2 if covariates else false_alarm
     table = level.to_dataset(name="level")
@@ -213,7 +215,6 @@ def judge_levels(
     local = map_ = None
     own = [name for name in level.quantity.values if name != CLASSIFIER]
     ranked = level.sel(quantity=own)[judged]
-    notes = []
     if covariates:
         map_ = curves(ranked, covariates)
         try:
@@ -247,6 +248,15 @@ def judge_levels(
         sentence=sentence,
         notes=tuple(notes),
     )
+
+
+def _of_files(covariates: Columns, judged: np.ndarray) -> Iterator[str]:
+    """In words how many instances failed of which file, where they are of several."""
+    if WHICH_FILE in covariates and not judged.all():
+        files = np.asarray(covariates[WHICH_FILE])
+        each = [(name, files == name) for name in np.unique(files)]
+        said = [f"{(own & ~judged).sum()} of {own.sum()} of {name}" for name, own in each]
+        yield f"failed are {', '.join(said)}"
 
 
 def _varied(columns: Columns) -> Columns:

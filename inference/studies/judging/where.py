@@ -99,6 +99,11 @@ def locally(
     score = np.concatenate([_sides(values), _widths(values)], axis=1)
     inside = np.stack([leaf.inside for leaf in leaves])
     deviation = _deviation(inside, _unit(score), np.isfinite(score))
+    if not deviation.any():
+        raise BadInput(
+            "no part of the instances can be compared with the others: too few of the same"
+            " quantities are known in both"
+        )
     largest = _after_permutations(inside, score, np.random.default_rng(seed))
     p_value = (1 + (largest >= deviation.max() * (1 - 1e-6)).sum()) / (1 + len(largest))
     first = np.tile(np.isin(levels.quantity.values, list(foremost)), 2)

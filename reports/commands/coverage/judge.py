@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from poseterior.inference.results import save_tree, versions
 from poseterior.inference.studies.judging.brought import Brought
 from poseterior.inference.studies.judging.files import Levels, joined, read_judged
@@ -59,6 +61,8 @@ def _judged(settings: CoverageJudgeSettings, name: str, brought: Brought | Level
         if settings.by and settings.by not in covariates:
             known = ", ".join(covariates) or "none"
             raise BadInput(f"{name} has no covariate {settings.by}; known are: {known}")
+        if settings.by and len(np.unique(covariates[settings.by])) == 1:
+            raise BadInput(f"all of {name} have one {settings.by}; leave --by out")
         judged = found.level.notnull().any("quantity").values
         by = (settings.by, covariates[settings.by][judged]) if settings.by else None
         own = found.level.sel(quantity=found.quantities)[judged]

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from poseterior import inference
-from poseterior.inference.studies.calibration.record import seen_columns
+from poseterior.inference.studies.calibration.record import detected_columns
 from poseterior.probmodel import Estimate, Likelihood, PoseModel
 from poseterior.probmodel.body import bone_lengths
 from poseterior.probmodel.datasets.person_views import PersonView
@@ -273,7 +273,7 @@ def levels_tree(
         "level": (("simulation", "quantity"), level.reshape(len(views), -1)),
         "person": ("simulation", np.array([view.person for view in views])),
     }
-    seen = seen_columns([view.detection for view in views])
+    seen = detected_columns([view.detection for view in views])
     groups = {
         "simulation": xr.Dataset(table, coords={"quantity": names}),
         "covariates": xr.Dataset({name: ("simulation", one) for name, one in seen.items()}),

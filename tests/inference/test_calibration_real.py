@@ -52,7 +52,7 @@ from poseterior.inference.studies.calibration.real import (
 )
 from poseterior.inference.studies.calibration.record import (
     case_columns,
-    seen_columns,
+    detected_columns,
     standings_tree,
 )
 from poseterior.inference.studies.calibration.run import cover, stand
@@ -443,7 +443,7 @@ def _often(columns: dict[str, np.ndarray], times: int) -> dict[str, np.ndarray]:
 
 
 def test_what_is_hidden_is_counted(cases: list[Case]) -> None:
-    seen = seen_columns(
+    seen = detected_columns(
         [case.hiding(missing).detection for case in cases[:1] for missing in (0, 3)]
     )
     assert np.diff(seen["hidden"]) == [3]

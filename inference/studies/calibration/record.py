@@ -110,15 +110,20 @@ def case_columns(
         "recording": np.array([case.recording for case in cases]),
         "unit_mm": np.array([case.unit for case in cases]),
         "reasons": np.array([as_text(one) for one in reasons]),
-        **seen_columns([case.detection for case in cases]),
+        **detected_columns([case.detection for case in cases]),
     }
 
 
 def seen_columns(detections: Sequence[Detection]) -> dict[str, np.ndarray]:
-    """What is seen of people, by the names of `DETECTOR` and `SEEN_OF`."""
+    """What is seen of people, by the names of `SEEN_OF`."""
     seen = [as_seen(detection) for detection in detections]
-    found = {name: np.array([one[name] for one in seen]) for name in SEEN_OF}
-    return {DETECTOR: np.array([detection.layout for detection in detections])} | found
+    return {name: np.array([one[name] for one in seen]) for name in SEEN_OF}
+
+
+def detected_columns(detections: Sequence[Detection]) -> dict[str, np.ndarray]:
+    """As `seen_columns`, of people whom somebody detected: by `DETECTOR`, too."""
+    detector = np.array([detection.layout for detection in detections])
+    return {DETECTOR: detector} | seen_columns(detections)
 
 
 def as_seen(detection: Detection) -> dict[str, float]:

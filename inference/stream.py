@@ -53,7 +53,7 @@ from poseterior.probmodel.skeleton import (
     NUM_LENGTHS,
 )
 
-FORMAT = 2
+STREAM_FORMAT = 2
 """What blocks hold of a frame: draws have had focal lengths since 2."""
 DRAW_BYTES = 4 * (3 * NUM_JOINTS + NUM_LENGTHS + 3 + 1)
 """Of a draw that is kept, in single precision."""
@@ -269,7 +269,7 @@ def sample_frames(
     )
     settings = {
         "study": "stream of frames",
-        "format": FORMAT,
+        "format": STREAM_FORMAT,
         "seed": key_words(key),
         "block": size,
         **draw.settings,

@@ -31,7 +31,7 @@ from poseterior.inference.machines import HERE, Machines
 from poseterior.inference.resampling import times
 from poseterior.inference.store import Block, Groups, Store, fill, locked
 from poseterior.inference.stream import (
-    FORMAT,
+    STREAM_FORMAT,
     FrameDraws,
     PoseDraws,
     all_draws,
@@ -200,7 +200,7 @@ def film_of(
         store = Store.begin(
             folder,
             {str(name): value for name, value in tree.attrs.items()}
-            | {"study": FILM, "format": FORMAT, "rate": rate, "step": step}
+            | {"study": FILM, "format": STREAM_FORMAT, "rate": rate, "step": step}
             | {"cutoff": cutoff, "lasting": LASTING, "k": k, "person": str(person)},
         )
         seed = [int(word) for word in str(tree.attrs["seed"]).split()]

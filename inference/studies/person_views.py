@@ -208,8 +208,8 @@ def even(views: Sequence[PersonView], number: int) -> list[PersonView]:
         )
     if number < len(own):
         raise BadInput(
-            f"{number} views are fewer than one of each of {len(own)} people; ask for more"
-            " (--frames)"
+            f"{number} views are fewer than one of each of {len(own)} people; ask for more (on the"
+            " command line --frames)"
         )
     most = next(n for n in range(counts[-1], 0, -1) if sum(min(n, c) for c in counts) <= number)
     return [some[row] for some in own.values() for row in evenly(len(some), most)]

@@ -71,8 +71,12 @@ HEAVIEST = "frame by frame, the heaviest hypothesis"
 ALONE = "frame by frame, all draws"
 SMOOTHED = "frame by frame, each draw smoothed"
 FILM_WAY = "film"
-WEAK, UNKNOWN, KNOWN = "beam, weak perspective", "beam, unknown camera", "beam, `--focal`"
-BELIEVED = {WEAK: "", UNKNOWN: "-unknown", KNOWN: "-focal"}
+BEAM_WEAK, BEAM_UNKNOWN, BEAM_KNOWN = (
+    "beam, weak perspective",
+    "beam, unknown camera",
+    "beam, `--focal`",
+)
+BEAM_CAMERAS = {BEAM_WEAK: "", BEAM_UNKNOWN: "-unknown", BEAM_KNOWN: "-focal"}
 """What films of one camera on the beam take it for, and what is put to their names."""
 PAIRS = "beam, two cameras"
 LIMB_TIPS = [
@@ -120,7 +124,7 @@ class TrueFilm(NamedTuple):
 
 
 def beam(data: Path, believed: str) -> list[TrueFilm]:
-    """The film of every camera, of which this is believed (`BELIEVED`), and what the three others
+    """The film of every camera, of which this is believed (`BEAM_CAMERAS`), and what the three others
     say."""
     session = read_session(data / "multicamera")
     found = []
@@ -128,9 +132,9 @@ def beam(data: Path, believed: str) -> list[TrueFilm]:
         camera = session.straight[view.camera]
         focal, principal = float(camera.focal[0]), camera.principal
         lenses = {
-            WEAK: None,
-            KNOWN: Lens(focal, principal),
-            UNKNOWN: Lens.unknown(2 * float(np.max(principal)), principal),
+            BEAM_WEAK: None,
+            BEAM_KNOWN: Lens(focal, principal),
+            BEAM_UNKNOWN: Lens.unknown(2 * float(np.max(principal)), principal),
         }
         people = [
             corrected(
@@ -143,7 +147,7 @@ def beam(data: Path, believed: str) -> list[TrueFilm]:
         ]
         found.append(
             TrueFilm(
-                f"beam-{session.labels[view.camera]}{BELIEVED[believed]}",
+                f"beam-{session.labels[view.camera]}{BEAM_CAMERAS[believed]}",
                 people,
                 without_midpoints(camera.view(view.world.points), MIDPOINTS),
                 camera.rotation @ doubt_of(session, view.world.covariance),
@@ -474,7 +478,7 @@ def main(data: Data, work: Work) -> Page:
     """Draws what is left to be drawn, then writes the page."""
     law = DetectorErrors.default()
     real = {
-        **{name: beam(data, name) for name in BELIEVED},
+        **{name: beam(data, name) for name in BEAM_CAMERAS},
         PAIRS: beam_of_pairs(data),
     }
     parts = strangers(work, data)
@@ -485,8 +489,8 @@ def main(data: Data, work: Work) -> Page:
         for rate in OTHER_RATES
     }
     of_measures = {
-        UNKNOWN: measured(real[UNKNOWN], work),
-        KNOWN: measured(real[KNOWN], work),
+        BEAM_UNKNOWN: measured(real[BEAM_UNKNOWN], work),
+        BEAM_KNOWN: measured(real[BEAM_KNOWN], work),
         PAIRS: measured(real[PAIRS], work),
         "captured": measured(held, work),
     }
@@ -494,7 +498,7 @@ def main(data: Data, work: Work) -> Page:
         within(one.scores) for one in of_measures.values()
     )
     judged_unknown, judged_focal, judged_pairs = (
-        rows_of(real[name], work)[FILM_WAY] for name in (UNKNOWN, KNOWN, PAIRS)
+        rows_of(real[name], work)[FILM_WAY] for name in (BEAM_UNKNOWN, BEAM_KNOWN, PAIRS)
     )
     constant, slow, quick = (f"{100 * share:.0f}" for share in ERROR_SHARES)
     values: dict[str, str | int | Sheet] = {
@@ -523,7 +527,7 @@ def main(data: Data, work: Work) -> Page:
         "metres": f"{METRES:g}",
         "seconds": f"{CAPTURED_SECONDS:g}",
     }
-    first = real[KNOWN][0]
+    first = real[BEAM_KNOWN][0]
     return Page("films", values, {"films": picture(first, drawn(first, work))})
 
 

@@ -58,7 +58,7 @@ CAPTURES = {
     "motion capture": ("cmu/actions_train.npz", "gaussian:0.01"),
 }
 """Of the data pack, and the noise of their detections."""
-OF_PEOPLE, VIEWS = "motion capture of 18 people", "all views"
+OF_PEOPLE, TOGETHER_VIEWS = "motion capture of 18 people", "all views"
 ROOM = "mvor/mvor.npz"
 FILM_VIEWS = 100
 """Of the film by each detector, evenly over its four cameras, and of the operating room."""
@@ -96,14 +96,14 @@ def main(data: Data, work: Work) -> Page:
             "covered_draws": COVERED_DRAWS,
             "held": _held_table(found),
             "judged": _judged_table(said),
-            "worst": worst(said[VIEWS]),
-            "map": map_table(said[VIEWS]),
+            "worst": worst(said[TOGETHER_VIEWS]),
+            "map": map_table(said[TOGETHER_VIEWS]),
             "film_views": FILM_VIEWS,
             "recalibrated": _recalibrated_table(level, np.array(people)),
             "people": len({*people}),
             "poses": len(people),
         },
-        {"where": judged_figure(said[VIEWS])},
+        {"where": judged_figure(said[TOGETHER_VIEWS])},
     )
 
 
@@ -137,7 +137,7 @@ def _views(data: Path, work: Path) -> dict[str, Levels]:
         seen = tree["covariates"].to_dataset()
         columns = {str(name): column.values for name, column in seen.items()}
         found[name] = tree["simulation"].to_dataset()["level"], columns
-    return found | {VIEWS: joined(found)}
+    return found | {TOGETHER_VIEWS: joined(found)}
 
 
 def _covered(model: PoseModel, cases: list[Case], source: dict[str, Any]) -> xr.DataTree:

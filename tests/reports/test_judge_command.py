@@ -89,7 +89,7 @@ def test_files_of_one_name_are_told_by_their_folders(poseterior: Cli, tmp_path: 
         assert tree.attrs["source"] == "openpose-coverage, mediapipe-coverage"
     for words, said in (
         ((*files, files[0], "--together"), "a file is given twice"),
-        ((files[0], "--circular", "x"), "nothing that could be circular; leave --circular out"),
+        ((files[0], "--circular", "x"), "nothing that could be circular; leave `circular` out"),
         (
             (files[0], "--recalibrate", tmp_path / "r.json", "--by", "detector"),
             "all of coverage have one detector; leave --by out",

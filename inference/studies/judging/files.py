@@ -90,7 +90,7 @@ def read_judged(path: Path, circular: tuple[str, ...] = ()) -> Brought | Levels:
                 if circular:
                     raise BadInput(
                         f"{path} has no draws any more, and so nothing that could be circular;"
-                        " leave --circular out"
+                        " leave `circular` out (on the command line --circular)"
                     )
                 columns = _group(tree, COVARIATES_GROUP).load()
                 return table["level"], {str(name): one.values for name, one in columns.items()}

@@ -24,7 +24,7 @@ def judged_figure(found: Judged) -> Figure:
     covariates = [] if found.map is None else found.map.covariate.values[:MOST_PANELS].tolist()
     number = 1 + len(covariates)
     rows, columns = math.ceil(number / IN_A_ROW), min(number, IN_A_ROW)
-    figure = page(3.4 * columns, 3.0 * rows)
+    figure = page(3.0 * columns, 2.6 * rows)
     first, *others = figure.subplots(rows, columns, squeeze=False).ravel()
     _ranks(first, found)
     for axes in others[len(covariates) :]:

@@ -71,11 +71,8 @@ HEAVIEST = "frame by frame, the heaviest hypothesis"
 ALONE = "frame by frame, all draws"
 SMOOTHED = "frame by frame, each draw smoothed"
 FILM_WAY = "film"
-BEAM_WEAK, BEAM_UNKNOWN, BEAM_KNOWN = (
-    "beam, weak perspective",
-    "beam, unknown camera",
-    "beam, `--focal`",
-)
+BEAM_WEAK, BEAM_UNKNOWN = "beam, weak perspective", "beam, unknown camera"
+BEAM_KNOWN = "beam, `--focal`"
 BEAM_CAMERAS = {BEAM_WEAK: "", BEAM_UNKNOWN: "-unknown", BEAM_KNOWN: "-focal"}
 """What films of one camera on the beam take it for, and what is put to their names."""
 PAIRS = "beam, two cameras"
@@ -124,8 +121,8 @@ class TrueFilm(NamedTuple):
 
 
 def beam(data: Path, believed: str) -> list[TrueFilm]:
-    """The film of every camera, of which this is believed (`BEAM_CAMERAS`), and what the three others
-    say."""
+    """The film of every camera, of which this is believed (`BEAM_CAMERAS`), and what the three
+    others say."""
     session = read_session(data / "multicamera")
     found = []
     for view in judged_views(session):

@@ -64,7 +64,7 @@ def test_a_folder_becomes_a_stream_and_a_second_call_goes_on(
     assert (out / "hypotheses.html").read_bytes() == page
     assert (out / "depth.png").exists()
     assert "3 frames of 1 person: 1 bad input, 2 complete" in again.out
-    assert f"50 draws are kept of each person: at most 31.8 kB in {out}" in again.out
+    assert f"50 draws are kept of each person: at most 32.4 kB in {out}" in again.out
     assert "frame_1/0: " in again.out
     assert "left out" not in again.out
     assert poseterior("show", out, "--quiet").code == 0

@@ -42,7 +42,7 @@ WHOLE_BUDGET = 30_000_000
 METRES = MILLIMETRES / 1000
 """Of a body unit."""
 LENS = Lens.unknown(1920.0, np.array([960.0, 540.0]))
-WEAK, UNKNOWN, BLIND = "weak perspective", "focal length unknown", "unknown, believed weak"
+WEAK, UNKNOWN_LENS, BLIND = "weak perspective", "focal length unknown", "unknown, believed weak"
 
 
 @functools.cache
@@ -61,7 +61,7 @@ def blind(index: int, instance: Instance, key: jax.Array) -> Answer:
 
 WAYS: dict[str, tuple[Callable[[], PoseModel], str | Sampler, int]] = {
     WEAK: (PoseModel, WEIGHTED, WHOLE_SIMULATIONS),
-    UNKNOWN: (lambda: PoseModel(lens=LENS), WEIGHTED, WHOLE_SIMULATIONS),
+    UNKNOWN_LENS: (lambda: PoseModel(lens=LENS), WEIGHTED, WHOLE_SIMULATIONS),
     BLIND: (lambda: PoseModel(lens=LENS), blind, CONTROLS),
 }
 """The model, who draws, and how many simulations, by what is believed of the camera."""
@@ -100,7 +100,7 @@ def main(work: Work) -> Page:
     """Does what is left of the simulations, then writes the page."""
     found = {way: simulated(work, way) for way in WAYS}
     verdicts = {way: judge(simulation) for way, simulation in found.items()}
-    numbers = {way: found[way].num_draws.values for way in (WEAK, UNKNOWN)}
+    numbers = {way: found[way].num_draws.values for way in (WEAK, UNKNOWN_LENS)}
     sentences = [f"- *{way}*: {one.verdict}: {one.sentence}." for way, one in verdicts.items()]
     values: Values = {
         "simulations": f"{WHOLE_SIMULATIONS:,}",
@@ -109,14 +109,17 @@ def main(work: Work) -> Page:
         "draws": WHOLE_DRAWS,
         "fewest": min(int(number.min()) for number in numbers.values()),
         "middle": int(np.median(numbers[WEAK])),
-        "middle_unknown": int(np.median(numbers[UNKNOWN])),
+        "middle_unknown": int(np.median(numbers[UNKNOWN_LENS])),
         "near": f"{METRES * NEAREST_SEEN:.0f}",
         "far": f"{METRES * FARTHEST_SEEN:.0f}",
         "sentences": "\n".join(sentences),
         "families": families_table(verdicts),
         "of_root": roots_table({way: verdicts[way] for way in numbers}),
     }
-    pictures = {"whole": ranks_figure(found[WEAK]), "whole-unknown": ranks_figure(found[UNKNOWN])}
+    pictures = {
+        "whole": ranks_figure(found[WEAK]),
+        "whole-unknown": ranks_figure(found[UNKNOWN_LENS]),
+    }
     return Page("whole", values, pictures)
 
 

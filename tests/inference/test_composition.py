@@ -240,14 +240,14 @@ def test_a_result_gives_what_its_draws_give(name):
     model, frame = scene(name)
     posterior = frame.posterior(model)
     result = inference.sample(
-        model, frame, key=key(2), root="uncertain", num_samples=200, num_roots=60
+        model, frame, key=key(2), root="uncertain", num_samples=200, num_roots=300
     )
     drawn = DrawnUnder.of(result, posterior)
     assert len(drawn.joints) == 200
     root = posterior.root_prior.root(drawn.points.take(7))
     joints = model.joints(root.view, *model.pose_of(drawn.joints[7], drawn.bone_length[7]))
     assert np.asarray(joints) == pytest.approx(drawn.joints[7], abs=1e-9)
-    assert drawn.faults.outlier.any() == (name == "faults")
+    assert drawn.faults.outlier.any() == (name == "faults")  # in four of a hundred draws
     for one, other in zip(inference.composed(result, posterior, 3), compose(drawn, 3), strict=True):
         assert np.array_equal(one.joints, other.joints)
 

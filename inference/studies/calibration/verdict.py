@@ -123,8 +123,9 @@ def levels_by_quantity(simulation: xr.Dataset, of: str) -> xr.DataArray:
 
 
 def _sizes(tests: xr.Dataset) -> str:
-    """Of how many simulations the tests are, in words."""
-    least, most = int(tests["size"].min()), int(tests["size"].max())
+    """Of how many simulations the tests are, in words; the classifier's is of half of them."""
+    size = tests["size"].values[tests.quantity.values != CLASSIFIER]
+    least, most = int(size.min()), int(size.max())
     return f"{least} to {most}" if least < most else str(most)
 
 

@@ -21,8 +21,6 @@ from sbi.utils import BoxUniform
 SEED = 49
 INSTANCES = 150
 DRAWS = 100
-AT_ONCE = 100
-"""Of which those outside the prior are rejected."""
 QUIET = {"show_progress_bars": False}
 
 
@@ -39,7 +37,7 @@ def main(task: str, simulations: int, epochs: int, path: Path) -> None:
     posterior = network.build_posterior()
     draws = np.stack(
         [
-            posterior.sample((DRAWS,), x=one, max_sampling_batch_size=AT_ONCE, **QUIET).numpy()
+            posterior.sample((DRAWS,), x=one, max_sampling_batch_size=DRAWS, **QUIET).numpy()
             for one in _tensor(seen)
         ]
     )

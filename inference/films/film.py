@@ -250,10 +250,10 @@ def film_draws(folder: str | os.PathLike) -> xr.Dataset:
             " with `film_of` (on the command line `poseterior film`)"
         )
     held = [one for _, one in all_draws(folder)]
-    found = xr.concat(held, dim="frame")
-    first = held[0].drop_vars("frame")
-    same = {name: first[name] for name in ("bone_length", "focal") if name in first}
-    found = found.assign(same).transpose("chain", "draw", "frame", ...)
+    moving = ["joints", "place"]
+    found = xr.concat([one[moving] for one in held], dim="frame")
+    found = found.assign(held[0].drop_vars(["frame", *moving]).data_vars)
+    found = found.transpose("chain", "draw", "frame", ...)
     seconds = np.arange(found.sizes["frame"]) * about["step"] / about["rate"]
     return found.assign_coords(time=("frame", seconds)).assign_attrs(about)
 

@@ -24,10 +24,14 @@ class Item(NamedTuple):
         The estimate; or the detection, which is estimated where its block is made, and not again;
         or what calibrated cameras saw; or, where there is no pose to be told, the sentence that
         says why.
+    exchange
+        Of a detection in a film: how probable each of the exchanges but "none" is in this frame, as
+        far as the others say it (`films.sides`); None where nothing is known but the law.
     """
 
     name: str
     frame: Estimate | Detection | Instant | str
+    exchange: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)

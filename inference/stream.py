@@ -12,6 +12,7 @@ Draws are written only where they are asked for (`keep`): ten thousand of a fram
 """
 
 import copy
+import dataclasses
 import hashlib
 import itertools
 import os
@@ -593,7 +594,10 @@ class _Drawing:
                 found = iter(estimating(people))
             except BadInput:
                 found = (_alone(estimating, person) for person in people)
-        return [next(found) if isinstance(item.frame, Detection) else item.frame for item in items]
+        return [
+            _with_sides(next(found), item) if isinstance(item.frame, Detection) else item.frame
+            for item in items
+        ]
 
     def _drawn(self, index: int, name: str, frame: Estimate | Instant | str) -> FrameDraws:
         if isinstance(frame, str):
@@ -665,6 +669,15 @@ def _require_whole(composed: bool) -> None:
             "hypotheses of several views are draws, and not put together limb by limb; leave"
             " `composed` out (on the command line --composed)"
         )
+
+
+def _with_sides(estimate: Estimate | str, item: Item) -> Estimate | str:
+    """An estimate whose sides are exchanged as probably as its item says."""
+    if isinstance(estimate, str) or item.exchange is None:
+        return estimate
+    likelihood = estimate.likelihood
+    faults = dataclasses.replace(likelihood.faults, exchange=item.exchange)
+    return dataclasses.replace(estimate, likelihood=dataclasses.replace(likelihood, faults=faults))
 
 
 def _alone(estimating: Estimating, person: Detection) -> Estimate | str:
@@ -748,8 +761,10 @@ def _blocks(frames: Iterable[Item], size: int) -> Iterator[Block]:
 def _fingerprint(items: list[Item]) -> str:
     """What the frames of a block are, in short: names, detections, candidates."""
     digest = hashlib.sha256()
-    for name, frame in items:
+    for name, frame, exchange in items:
         digest.update(name.encode("utf-8", "backslashreplace"))
+        if exchange is not None:
+            digest.update(repr(exchange).encode())
         if isinstance(frame, str):
             digest.update(frame.encode("utf-8", "backslashreplace"))
             continue

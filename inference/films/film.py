@@ -25,6 +25,7 @@ from poseterior.inference.films.coupling import LASTING, Frame, coupled
 from poseterior.inference.films.gaps import filled
 from poseterior.inference.films.lenses import film_lenses, rows_of_lens
 from poseterior.inference.films.parts import Parts, PathBodies, put_together, taken_apart
+from poseterior.inference.films.sides import with_sides
 from poseterior.inference.footage import Footage, Item
 from poseterior.inference.hypothesis import Hypothesis, diverse
 from poseterior.inference.machines import HERE, Machines
@@ -124,6 +125,8 @@ def sample_film(
         As both do.
     """
     require_film(rate, cutoff, k, num_paths)
+    if estimating is not None and not isinstance(frames, Footage):
+        frames = with_sides(frames, rate, estimating.likelihood)
     drawn = sample_frames(
         model,
         frames,

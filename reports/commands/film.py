@@ -25,7 +25,7 @@ def run(settings: FilmSettings, screen: Screen) -> None:
     names, stream, person = None, settings.path, settings.person
     if not settings.drawn_before:
         stream, names, person = out / FRAMES_FOLDER, settings.names, None
-        fragments, warnings = frames.draw(settings, stream, screen, alone=True)
+        fragments, warnings = frames.draw(settings, stream, screen, rate=settings.fps)
     with console.progress("paths", screen.quiet) as step:
         film_of(
             stream,

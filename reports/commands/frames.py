@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from rich.filesize import decimal
 
+from poseterior.inference.films.sides import with_sides
 from poseterior.inference.footage import Item
 from poseterior.inference.measured import measures
 from poseterior.inference.stream import DRAW_BYTES, People, open_stream, sample_frames
@@ -42,10 +43,10 @@ def draw(
     screen: Screen,
     *,
     composed: bool = False,
-    alone: bool = False,
+    rate: float | None = None,
 ) -> tuple[list[str], list[str]]:
-    """Writes the draws of everyone, or of one person `alone`; says whom it left out, and what is
-    doubtful about the others."""
+    """Writes the draws of everyone; or of one person alone, where frames come at a `rate` and so
+    are a film. Says whom it left out, and what is doubtful about the others."""
     if settings.is_session:
         return [], _draw_session(settings, out, screen)
     with console.progress("limits and torsos", screen.quiet):
@@ -67,7 +68,7 @@ def draw(
     with console.progress("who is who", screen.quiet):
         people = People(lambda: settings.detected.frames(settings.path), estimating.require, person)
         seen = people.cast.frames
-        if alone and person is None and len(seen) > 1:
+        if rate is not None and person is None and len(seen) > 1:
             person = seen.index(max(seen))
             people = people.of(person)
             warnings.append(
@@ -79,7 +80,7 @@ def draw(
         console.say(f"{people.described()}; --person draws one of them alone")
     _fill(
         model,
-        people,
+        people if rate is None else with_sides(people, rate, estimating.likelihood),
         len(people),
         settings,
         out,

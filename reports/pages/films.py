@@ -199,15 +199,23 @@ def captured_films(
     some = [longest[name] for name in sorted(longest) if seconds[name] >= CAPTURED_SECONDS]
     some = some[:people]
     return [
-        _captured(motion, law, rate, number)._replace(model=models[motion.subject])
+        captured(motion, law, rate, number)._replace(model=models[motion.subject])
         for number, motion in enumerate(some)
     ]
 
 
-def _captured(motion: Motion, law: DetectorErrors, rate: float, number: int) -> TrueFilm:
+def captured(
+    motion: Motion,
+    law: DetectorErrors,
+    rate: float,
+    number: int,
+    seconds: float = CAPTURED_SECONDS,
+) -> TrueFilm:
+    """The first seconds of a recording, before a camera that stands still, by a detector whose
+    errors last; the number is that of a seed."""
     rng = np.random.default_rng([number, round(rate)])
     # Captured at 30 frames a second; what is between them, splines say.
-    times = np.arange(0, CAPTURED_SECONDS - 1 / motion.frame_rate, 1 / rate)
+    times = np.arange(0, seconds - 1 / motion.frame_rate, 1 / rate)
     known = np.arange(len(motion.joints)) / motion.frame_rate
     joints = CubicSpline(known, motion.joints - motion.joints[0, 0])(times)
     errors = lasting_errors(law, len(joints), rate, rng)

@@ -57,6 +57,7 @@ def test_there_are_pages() -> None:
         "readings",
         "routes",
         "samplers",
+        "sides",
         "speed",
         "strangers",
         "where",

@@ -19,7 +19,8 @@ from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.errors.faults import EXCHANGES
 from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.errors.times import ErrorTimes
-from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, LIMB_JOINTS
+from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
 
 BENDS = {
     "shoulder": 0.0043,
@@ -30,13 +31,13 @@ BENDS = {
     "ankle": 0.0047,
 }
 """How far, along an axis, joints are from going straight on over two thirtieths of a second, body
-units: scales of Student's law with `FREEDOM` degrees of freedom, which has their medians and about
+units: scales of Student's law with `BENDS_FREEDOM` degrees of freedom, which has their medians and about
 their tails; CMU motion capture, 95 recordings."""
 BENDS_OF = 1 / 30
 """Seconds between the frames of which `BENDS` are, and the power of this time with which they grow:
 they were fitted from 1/60 to 4/15 of a second."""
-GROWTH, FREEDOM = 1.3, 2.0
-SHARED = 1 / 3
+GROWTH, BENDS_FREEDOM = 1.3, 2.0
+OVERLAP = 1 / 3
 """The power of every three frames' weight: each frame is in three of them, with the same errors.
 Chosen on captured people, beside 1, 1/2 and 3/10."""
 EXCHANGE_LASTS = 0.5
@@ -78,13 +79,12 @@ def with_sides(items: Iterable[Item], rate: float, likelihood: Likelihood) -> li
     ]
     if not any(likelihood.faults.exchange) or len(seen) < 3:
         return found
-    rows, moments, people = zip(*seen, strict=True)
-    moments = np.array(moments) / rate
+    rows, counted, people = zip(*seen, strict=True)
+    moments = np.array(counted) / rate
     keypoints = np.stack([person.keypoints for person in people])
-    detected = [likelihood.detected(person) for person in people]
     weight = straightness(
         keypoints / _body_unit(keypoints),
-        np.stack([np.asarray(one.spread) / 2 for one in detected]),
+        np.stack([_deviation(person, likelihood) for person in people]),
         moments,
         None if likelihood.learned is None else likelihood.learned.times,
     )
@@ -92,6 +92,15 @@ def with_sides(items: Iterable[Item], rate: float, likelihood: Likelihood) -> li
     for row, each in zip(rows, probability, strict=True):
         found[row] = found[row]._replace(exchange=_rounded(each))
     return found
+
+
+def _deviation(person: Detection, likelihood: Likelihood) -> np.ndarray:
+    """`(15,)` body units: of errors each way; NaN in a frame of which nothing can be drawn, which
+    then says nothing here either."""
+    try:
+        return np.asarray(likelihood.detected(person).spread) / 2
+    except BadInput:
+        return np.full(NUM_JOINTS, np.nan)
 
 
 def straightness(
@@ -131,12 +140,15 @@ def straightness(
         for start in range(3)
     )
     bend = first[:, :, :, None, None] + middle[:, :, None, :, None] + last[:, :, None, None]
-    square = np.square(bend).sum(axis=-1) / (FREEDOM * (bends**2 + noise))[..., *[None] * 4]
-    log = -SHARED * (FREEDOM + 2) / 2 * np.log1p(square).sum(axis=-1)
+    square = np.square(bend).sum(axis=-1) / (BENDS_FREEDOM * (bends**2 + noise))[..., *[None] * 4]
+    log = -OVERLAP * (BENDS_FREEDOM + 2) / 2 * np.log1p(square).sum(axis=-1)
     log = np.where(np.isfinite(log).all(axis=(2, 3, 4), keepdims=True), log, 0.0)
-    total = sum(
-        log[:, kind][:, moved[:, None, None], moved[:, None], moved]
-        for kind, moved in enumerate(_MOVED.T)
+    total = np.sum(
+        [
+            log[:, kind][:, moved[:, None, None], moved[:, None], moved]
+            for kind, moved in enumerate(_MOVED.T)
+        ],
+        axis=0,
     )
     return np.exp(total - total.max(axis=(1, 2, 3), keepdims=True))
 

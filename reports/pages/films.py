@@ -108,6 +108,12 @@ class TrueFilm(NamedTuple):
     model: PoseModel | None = None
 
     @property
+    def alone(self) -> list[Detection]:
+        """The person in each frame of one camera."""
+        assert not isinstance(self.people, Footage)
+        return self.people
+
+    @property
     def unit(self) -> float:
         """Millimetres of a body unit."""
         if isinstance(self.people, Footage):

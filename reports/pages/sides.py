@@ -38,16 +38,16 @@ from poseterior.reports.pages.page import Data, Page, Work, run
 from poseterior.reports.pages.people import Strangers, strangers, together
 from poseterior.reports.tables import Sheet, sheet_of
 
-SHORTEST, LONGEST = 4.0, 30.0
+SHORTEST_FILM, LONGEST_FILM = 4.0, 30.0
 """Seconds of the recordings that are taken, and of a film."""
 RATES = (25.0, 30.0, 60.0, 120.0)
-RUNS = (1, 5, 30)
+RUN_LENGTHS = (1, 5, 30)
 """Frames for which sides stay exchanged."""
 PLANTED = tuple(EXCHANGE_INDEX[name] for name in ("arms", "legs", "body"))
 BETWEEN = (1.0, 2.5)
 """Seconds from one exchange to the next, evenly drawn."""
 DRAWN_FILMS, DRAWN_SECONDS, DRAWN_RATE = 3, 8.0, 30.0
-TOLD, ALONE = "told by motion first", "every frame by itself"
+TOLD, BY_ITSELF = "told by motion first", "every frame by itself"
 NOTHING_TOLD = "control: motion weighs nothing"
 
 
@@ -62,23 +62,23 @@ class Misnamed(NamedTuple):
     @property
     def items(self) -> list[Item]:
         """Its frames."""
-        return [Item(f"{row:05d}", person) for row, person in enumerate(self.film.people)]
+        return [Item(f"{row:05d}", person) for row, person in enumerate(self.film.alone)]
 
 
 def misnamed(film: TrueFilm, rng: np.random.Generator) -> Misnamed:
     """The film with exchanges planted."""
-    number = len(film.people)
+    number = len(film.alone)
     exchange, lasts = np.zeros(number, int), np.zeros(number, int)
     at = round(film.rate * rng.uniform(*BETWEEN))
     while at < number:
-        some = slice(at, at + int(rng.choice(RUNS)))
+        some = slice(at, at + int(rng.choice(RUN_LENGTHS)))
         exchange[some], lasts[some] = rng.choice(PLANTED), some.stop - some.start
         at = some.stop + round(film.rate * rng.uniform(*BETWEEN))
     people = [
         dataclasses.replace(
             person, keypoints=person.keypoints[ORDERS[one]], score=person.score[ORDERS[one]]
         )
-        for person, one in zip(film.people, exchange, strict=True)
+        for person, one in zip(film.alone, exchange, strict=True)
     ]
     return Misnamed(film._replace(name=f"{film.name}-misnamed", people=people), exchange, lasts)
 
@@ -86,10 +86,10 @@ def misnamed(film: TrueFilm, rng: np.random.Generator) -> Misnamed:
 def films_at(parts: Sequence[Strangers], law: DetectorErrors, rate: float) -> list[Misnamed]:
     """A film of every recording that is long enough."""
     motions, models = together(parts)
-    long = [one for one in motions if len(one.joints) / one.frame_rate >= SHORTEST]
+    long = [one for one in motions if len(one.joints) / one.frame_rate >= SHORTEST_FILM]
     found = []
     for number, motion in enumerate(long):
-        seconds = min(LONGEST, len(motion.joints) / motion.frame_rate)
+        seconds = min(LONGEST_FILM, len(motion.joints) / motion.frame_rate)
         film = captured(motion, law, rate, number, seconds)._replace(model=models[motion.subject])
         found.append(misnamed(film, np.random.default_rng([number, round(rate), 1])))
     return found
@@ -116,7 +116,7 @@ def shares(films: Sequence[Misnamed], probability: Sequence[np.ndarray]) -> list
     said = np.concatenate([one.argmax(axis=1) for one in probability])
     true = np.concatenate([one.exchange for one in films])
     lasts = np.concatenate([one.lasts for one in films])
-    runs = [_share((said == true)[lasts == run if run else lasts > 0]) for run in (*RUNS, 0)]
+    runs = [_share((said == true)[lasts == run if run else lasts > 0]) for run in (*RUN_LENGTHS, 0)]
     return [*runs, _share(said[lasts == 0] > 0)]
 
 
@@ -166,7 +166,7 @@ def longest(films: Sequence[Misnamed]) -> list[Misnamed]:
     return [
         Misnamed(
             one.film._replace(
-                people=one.film.people[rows], truth=one.film.truth[rows], doubt=one.film.doubt[rows]
+                people=one.film.alone[rows], truth=one.film.truth[rows], doubt=one.film.doubt[rows]
             ),
             one.exchange[rows],
             one.lasts[rows],
@@ -175,7 +175,7 @@ def longest(films: Sequence[Misnamed]) -> list[Misnamed]:
     ]
 
 
-class Drawn(NamedTuple):
+class DrawnWay(NamedTuple):
     """What paths of a way are worth: the probabilities of exchanges of each film, and its paths
     judged."""
 
@@ -183,7 +183,7 @@ class Drawn(NamedTuple):
     judged: list[PathsJudged]
 
 
-def drawn_way(films: list[Misnamed], likelihood: Likelihood, work: Path, told: bool) -> Drawn:
+def drawn_way(films: list[Misnamed], likelihood: Likelihood, work: Path, told: bool) -> DrawnWay:
     """Of all films."""
     probability, judged = [], []
     for number, one in enumerate(films):
@@ -192,7 +192,7 @@ def drawn_way(films: list[Misnamed], likelihood: Likelihood, work: Path, told: b
         probability.append(np.nan_to_num(exchange))
         ways, rows = ways_of(one.film, out)
         judged.append(judge(ways[FILM_WAY], one.film, rows, np.random.default_rng(number)))
-    return Drawn(probability, judged)
+    return DrawnWay(probability, judged)
 
 
 def picture(one: Misnamed, ways: dict[str, np.ndarray]) -> Figure:
@@ -225,7 +225,7 @@ def main(data: Data, work: Work) -> Page:
     some = longest(usual)
     ways = {
         TOLD: drawn_way(some, likelihood, work, told=True),
-        ALONE: drawn_way(some, likelihood, work, told=False),
+        BY_ITSELF: drawn_way(some, likelihood, work, told=False),
     }
     return Page(
         "sides",
@@ -246,11 +246,16 @@ def main(data: Data, work: Work) -> Page:
     )
 
 
-HEAD = ("", *(f"runs of {run} frame{'s' * (run > 1)}" for run in RUNS), "all", "false alarms")
+HEAD = (
+    "",
+    *(f"runs of {run} frame{'s' * (run > 1)}" for run in RUN_LENGTHS),
+    "all",
+    "false alarms",
+)
 
 
 def _over_time(
-    one: Misnamed, likelihood: Likelihood, ways: dict[str, Drawn]
+    one: Misnamed, likelihood: Likelihood, ways: dict[str, DrawnWay]
 ) -> dict[str, np.ndarray]:
     return {
         "motion alone": told_by_motion(one, likelihood),
@@ -258,7 +263,7 @@ def _over_time(
     }
 
 
-def _held(ways: dict[str, Drawn]) -> Sheet:
+def _held(ways: dict[str, DrawnWay]) -> Sheet:
     head = (
         *("paths", "coordinates", "changes in 0.1 s, and in 0.5 s", "95 % wide in depth, mm"),
         *("error of the mean, mm", "jitter, mm"),

@@ -18,7 +18,7 @@ from poseterior.inference.studies.calibration.uniformity import uniformity
 from poseterior.inference.studies.calibration.verdict import CALIBRATED, MISCALIBRATED
 from poseterior.inference.studies.judging import judge_coverage, recalibrate, where
 from poseterior.inference.studies.judging.brought import Brought
-from poseterior.inference.studies.judging.files import joined, read_brought
+from poseterior.inference.studies.judging.files import joined, of_some_alone, read_brought
 from poseterior.inference.studies.judging.judge import judge_brought, judge_levels
 from poseterior.inference.studies.judging.repair import read_recalibration
 from poseterior.inference.studies.judging.where import leaves_of, locally
@@ -196,6 +196,7 @@ def test_files_of_coverage_are_judged_as_one_that_knows_them_apart() -> None:
     level, columns = joined(parts)
     assert level.simulation.values.tolist() == list(range(300))
     assert list(columns) == ["detector", "file"]
+    assert of_some_alone(parts) == ["one", "other"]
     found = judge_levels(level, columns)
     assert found.verdict == MISCALIBRATED
     assert found.local is not None

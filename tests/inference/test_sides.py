@@ -11,7 +11,7 @@ from poseterior.inference.estimators import Estimating
 from poseterior.inference.films import sides
 from poseterior.inference.films.sides import EXCHANGE_LASTS, in_chain, straightness, with_sides
 from poseterior.inference.footage import Item
-from poseterior.probmodel import Detection, Likelihood, PoseModel
+from poseterior.probmodel import BadInput, Detection, Likelihood, PoseModel
 from poseterior.probmodel.errors.faults import EXCHANGE_INDEX, ORDERS, FaultPrior
 from poseterior.probmodel.errors.times import ErrorTimes
 from poseterior.probmodel.skeleton import JOINT_INDEX
@@ -78,7 +78,7 @@ def test_runs_of_exchanged_sides_are_found_though_legs_pass_each_other(seed):
 
 
 def test_control_without_motion_nothing_is_found(monkeypatch):
-    monkeypatch.setattr(sides, "SHARED", 0.0)
+    monkeypatch.setattr(sides, "OVERLAP", 0.0)
     items = items_of(walking(120, np.random.default_rng(0)), planted(120, RUNS))
     assert not told(with_sides(items, RATE, LIKELIHOOD)).any()
 
@@ -172,6 +172,18 @@ def test_frames_are_told_in_the_order_of_their_numbers_and_gaps_count():
     seen = np.delete(np.arange(120), [30, *range(70, 75)])
     rest = [one for at, one in enumerate(found) if at != 30]
     assert (told(rest) != exchange[seen]).mean() < 0.03
+
+
+def test_a_frame_that_cannot_be_drawn_says_nothing_and_stops_no_other():
+    """Of a score so far below the others that its joint has no radius."""
+    exchange = planted(120, RUNS)
+    items = items_of(walking(120, np.random.default_rng(0)), exchange)
+    score = np.ones(15)
+    score[JOINT_INDEX["left_knee"]] = 5e-324
+    items[70] = items[70]._replace(frame=dataclasses.replace(items[70].frame, score=score))
+    with pytest.raises(BadInput, match="too far below the others"):
+        LIKELIHOOD.detected(items[70].frame)
+    assert (told(with_sides(items, RATE, LIKELIHOOD)) != exchange).mean() < 0.03
 
 
 def test_little_or_nothing_to_tell_leaves_frames_as_they_are():

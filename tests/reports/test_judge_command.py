@@ -85,6 +85,7 @@ def test_files_of_one_name_are_told_by_their_folders(poseterior: Cli, tmp_path: 
     assert run.code == 0, run.err
     assert "detector" in run.out
     assert "mediapipe" in run.out
+    assert "not all of the files have" not in run.err
     with xr.open_datatree(tmp_path / "judged" / "together.nc") as tree:
         assert tree.attrs["source"] == "openpose-coverage, mediapipe-coverage"
     for words, said in (

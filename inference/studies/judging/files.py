@@ -6,6 +6,7 @@ flattened (`estimates.NAME`, `targets.NAME`). A tree has groups `posterior` and 
 instances are a dimension of both, `chain` and `draw` of the first), and may have `sample_stats`
 (`lp`, `log_weights`) and `covariates`. Draws of a tree are read in blocks of instances."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -126,6 +127,14 @@ def joined(files: Mapping[str, Brought | Levels]) -> Levels:
     owner = np.repeat(list(parts), [level.sizes["simulation"] for level, _ in parts.values()])
     levels = levels.assign_coords(simulation=np.arange(levels.sizes["simulation"]))
     return levels, columns | {WHICH_FILE: owner}
+
+
+def of_some_alone(files: Mapping[str, Brought | Levels]) -> list[str]:
+    """Quantities and covariates that `joined` leaves out, since not all of the files have them."""
+    levels = [one for one in files.values() if not isinstance(one, Brought)]
+    each = [[*map(str, level["quantity"].values), *known] for level, known in levels]
+    every = dict.fromkeys(itertools.chain(*each))
+    return [name for name in every if not all(name in one for one in each)]
 
 
 def _is_tree(path: Path) -> bool:

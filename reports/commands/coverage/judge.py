@@ -7,7 +7,12 @@ import numpy as np
 
 from poseterior.inference.results import save_tree, versions
 from poseterior.inference.studies.judging.brought import Brought
-from poseterior.inference.studies.judging.files import Levels, joined, read_judged
+from poseterior.inference.studies.judging.files import (
+    Levels,
+    joined,
+    of_some_alone,
+    read_judged,
+)
 from poseterior.inference.studies.judging.judge import Judged, judge_brought, judge_levels
 from poseterior.inference.studies.judging.repair import NO_POSTERIOR, recalibrate
 from poseterior.probmodel import BadInput
@@ -42,7 +47,11 @@ def _brought(settings: CoverageJudgeSettings) -> Iterator[tuple[str, Brought | L
     circular = tuple(settings.circular or ())
     each = ((name, read_judged(path, circular)) for name, path in settings.named.items())
     if settings.together:
-        yield TOGETHER, joined(dict(each))
+        files = dict(each)
+        whole = joined(files)
+        if some := of_some_alone(files):
+            console.warn(f"not all of the files have {', '.join(some)}; judged is what all have")
+        yield TOGETHER, whole
     else:
         yield from each
 

@@ -31,8 +31,8 @@ BENDS = {
     "ankle": 0.0047,
 }
 """How far, along an axis, joints are from going straight on over two thirtieths of a second, body
-units: scales of Student's law with `BENDS_FREEDOM` degrees of freedom, which has their medians and about
-their tails; CMU motion capture, 95 recordings."""
+units: scales of Student's law of `BENDS_FREEDOM` degrees of freedom, which has their medians and
+about their tails; CMU motion capture, 95 recordings."""
 BENDS_OF = 1 / 30
 """Seconds between the frames of which `BENDS` are, and the power of this time with which they grow:
 they were fitted from 1/60 to 4/15 of a second."""

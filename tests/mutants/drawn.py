@@ -6,6 +6,7 @@
     MUTANTS_NAMES=modes,verdict make drawn-mutants       of files whose names hold such a word
     MUTANTS_SLOW=1 make drawn-mutants                    the slow tests see what quick ones do not
     MUTANTS_EARLIER=37fc945 make drawn-mutants           tests that this commit had go first
+    MUTANTS_SAID=said.txt make drawn-mutants             goes on where a run ended that said this
 
 Each is planted in a copy, as ours are (`tests.mutants`), and is seen where a test of its file
 fails, or where the tests take many times the processor's seconds that they should. What sees a
@@ -22,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -87,8 +88,10 @@ QUICK, SLOW = "not slow and not sweep", "slow and not sweep"
 LONGEST = {QUICK: 200.0, SLOW: 900.0}
 """Seconds of the processor after which tests are given up: several times what those of any file
 take."""
-UNSEEN = (0, 5)
+PASSED = (0, 5)
 """Pytest's exit codes where all tests passed, and where there was none."""
+UNSEEN = "not seen"
+"""What is said where no test sees a fault."""
 NO_END = "no end"
 """What saw a fault under which tests do not end."""
 
@@ -123,10 +126,10 @@ class Stage(NamedTuple):
     tests: Mapping[str, tuple[str, ...]]
 
     def sees(self, copy: Copy, fault: Drawn, number: int) -> str:
-        """The first test that sees a fault; empty where none does."""
+        """The first test that sees a fault, or `UNSEEN`."""
         with copy.planted(fault, number):
             test = _failing(copy, self.marks, self.tests[fault.file])
-        if test not in ("", NO_END):
+        if test not in (UNSEEN, NO_END):
             _require_passed(copy, self.marks, test)
         return test
 
@@ -134,17 +137,15 @@ class Stage(NamedTuple):
 @functools.cache
 def _require_passed(copy: Copy, marks: str, test: str) -> None:
     """Raises `RuntimeError` where a test fails without a fault."""
-    if _failing(copy, marks, (test,)):
+    if _failing(copy, marks, (test,)) != UNSEEN:
         raise RuntimeError(f"{test} does not pass where there is no fault")
 
 
 def _failing(copy: Copy, marks: str, tests: tuple[str, ...]) -> str:
-    """The first of some tests that fails; empty where all pass, or there is none."""
-    if not tests:
-        return ""
-    code, _ = copy.run(["-x", "-m", marks, *tests], LONGEST[marks])
-    if code in UNSEEN:
-        return ""
+    """The first of some tests that fails, or `UNSEEN`."""
+    code, _ = copy.run(["-x", "-m", marks, *tests], LONGEST[marks]) if tests else (0, 0.0)
+    if code in PASSED:
+        return UNSEEN
     return NO_END if code == TIME_UP else _failed(copy.root)
 
 
@@ -173,24 +174,26 @@ def all_of(file: str) -> list[Drawn]:
 
 def stages(earlier: str, slow: bool) -> list[Stage]:
     """What faults are shown to, one after the other: quick tests by names that a commit had, if one
-    is given; all quick ones; and slow ones, if they are wanted."""
+    is given; all others; and slow ones, if they are wanted."""
+    had: set[str] = set()
     found = []
     if earlier:
         command = ["git", "grep", "-h", "^def test_", earlier, "--", "tests"]
         lines = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-        known = {line.removeprefix("def ").partition("(")[0] for line in lines.splitlines()}
-        had = {
-            file: tuple(
-                f"{path}::{name}"
-                for path in paths
-                for name in tests_of(ROOT / path)
-                if name in known
-            )
-            for file, paths in CORE.items()
-        }
-        found.append(Stage(f"quick tests of {earlier}", QUICK, had))
-    found.append(Stage("quick tests", QUICK, CORE))
+        had = {line.removeprefix("def ").partition("(")[0] for line in lines.splitlines()}
+        found.append(Stage(f"quick tests of {earlier}", QUICK, _tests(had.__contains__)))
+    found.append(Stage("quick tests", QUICK, _tests(lambda name: name not in had)))
     return [*found, Stage("all tests", SLOW, CORE)] if slow else found
+
+
+def _tests(wanted: Callable[[str], bool]) -> dict[str, tuple[str, ...]]:
+    """By file of the core, the tests of wanted names."""
+    return {
+        file: tuple(
+            f"{path}::{name}" for path in paths for name in tests_of(ROOT / path) if wanted(name)
+        )
+        for file, paths in CORE.items()
+    }
 
 
 def main() -> int:
@@ -204,19 +207,31 @@ def main() -> int:
     every = [one for file in files for one in all_of(file)]
     chosen = random.Random(seed).sample(every, min(number, len(every)))
     said: dict[Drawn, list[str]] = {fault: [] for fault in chosen}
+    before = _said_before(os.environ.get("MUTANTS_SAID", os.devnull))
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = Copy(Path(folder))
         try:
             for stage in shown:
                 for count, (fault, tests) in enumerate(said.items()):
-                    if any(tests) or time.monotonic() > ends:
+                    if _seen(tests) or time.monotonic() > ends:
                         continue
-                    tests.append(stage.sees(copy, fault, count))
-                    word = tests[-1] or "not seen"
-                    print(f"{stage.name} | {fault.file} | {fault.line} | {word}", flush=True)
+                    about = f"{stage.name} | {fault.file} | {fault.line}"
+                    word = before.get(about) or stage.sees(copy, fault, count)
+                    print(f"{about} | {word}", flush=True)
+                    tests.append(word)
         finally:
             copy.close()
     return told(shown, {fault: tests for fault, tests in said.items() if tests}, len(every))
+
+
+def _seen(words: list[str]) -> bool:
+    return any(word != UNSEEN for word in words)
+
+
+def _said_before(path: str) -> dict[str, str]:
+    """What a run has said of faults, by stage, file and line."""
+    rows = (line.rpartition(" | ") for line in Path(path).read_text(encoding="utf-8").splitlines())
+    return {about: word for about, _, word in rows}
 
 
 def told(shown: list[Stage], said: Mapping[Drawn, list[str]], number: int) -> int:
@@ -224,11 +239,11 @@ def told(shown: list[Stage], said: Mapping[Drawn, list[str]], number: int) -> in
     print(" | ".join(["file", "faults", *(f"seen by {stage.name}" for stage in shown)]))
     for file in [*CORE, ""]:
         own = [tests for fault, tests in said.items() if fault.file.startswith(file)]
-        seen = [sum(any(tests[: count + 1]) for tests in own) for count in range(len(shown))]
+        seen = [sum(_seen(tests[: count + 1]) for tests in own) for count in range(len(shown))]
         if own:
             print(" | ".join([file or f"of {number}", str(len(own)), *map(str, seen)]))
     for fault, tests in said.items():
-        if not any(tests):
+        if not _seen(tests):
             print(f"SURVIVED {shown[len(tests) - 1].name} | {fault.file} | {fault.line}")
     return 0 if said else 2
 

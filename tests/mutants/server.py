@@ -22,7 +22,10 @@ PRELOADED = (
 TIME_UP = 124
 PATIENCE = 4
 """How many times as long as the processor's seconds tests may last by the clock."""
-OPTIONS = ("-q", "--tb=line", "-p", "no:cacheprovider", "--junitxml=report.xml")
+OPTIONS = (
+    *("-q", "--tb=line", "-p", "no:cacheprovider"),
+    *("--junitxml=report.xml", "-o", "junit_duration_report=call"),
+)
 
 
 def answer(tests: list[str], seconds: float) -> tuple[int, float]:

@@ -11,6 +11,7 @@ is 1 where one survives, 2 where nothing could be judged."""
 
 import contextlib
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -115,7 +116,7 @@ class Copy:
         """What the tests of a fault say of it."""
         with self.planted(fault, number):
             code, used = self.run(fault.tests, LONGEST)
-        killed, words, milliseconds = False, f"SURVIVED: no end within {LONGEST:g} s", 1e3 * LONGEST
+        killed, words, milliseconds = False, f"SURVIVED: no end within {LONGEST:g} s", math.nan
         if code == FAILED:
             left, milliseconds = self._passed()
             killed, words = not left, f"SURVIVED in {left}" if left else "killed"

@@ -28,6 +28,7 @@ from poseterior.inference.importance.rejection import (
     _Rounds,
 )
 from poseterior.inference.importance.torso_proposals import (
+    TORSO_ZERO_ACCEPTANCE_LIMIT,
     Batches,
     draw_torso,
     exact_proposal,
@@ -635,6 +636,15 @@ def test_a_pilot_run_without_any_weight_ends() -> None:
     rounds = iter(
         [SimpleNamespace(limbs=[{}] * 10, log_weight=np.full(10, -np.inf), attempts=10)] * 5
     )
+    given: Any = rounds
+    assert _bound(given, 1) == -math.inf
+    assert len(list(rounds)) == 3
+
+
+def test_a_pilot_run_without_any_root_ends() -> None:
+    """Half the attempts that are allowed where none brings a root: two rounds are made."""
+    attempts = TORSO_ZERO_ACCEPTANCE_LIMIT // 2
+    rounds = iter([SimpleNamespace(limbs=[], log_weight=np.zeros(0), attempts=attempts)] * 5)
     given: Any = rounds
     assert _bound(given, 1) == -math.inf
     assert len(list(rounds)) == 3

@@ -90,6 +90,8 @@ LONGEST = {QUICK: 200.0, SLOW: 900.0}
 take."""
 PASSED = (0, 5)
 """Pytest's exit codes where all tests passed, and where there was none."""
+BROKEN = (3, 4)
+"""Those of pytest's own faults, and of tests that are not there."""
 UNSEEN = "not seen"
 """What is said where no test sees a fault."""
 NO_END = "no end"
@@ -146,6 +148,8 @@ def _failing(copy: Copy, marks: str, tests: tuple[str, ...]) -> str:
     code, _ = copy.run(["-x", "-m", marks, *tests], LONGEST[marks]) if tests else (0, 0.0)
     if code in PASSED:
         return UNSEEN
+    if code in BROKEN:
+        raise RuntimeError(copy.said)
     return NO_END if code == TIME_UP else _failed(copy.root)
 
 
@@ -190,7 +194,10 @@ def _tests(wanted: Callable[[str], bool]) -> dict[str, tuple[str, ...]]:
     """By file of the core, the tests of wanted names."""
     return {
         file: tuple(
-            f"{path}::{name}" for path in paths for name in tests_of(ROOT / path) if wanted(name)
+            f"{path}::{name}"
+            for path in paths
+            for name in tests_of(ROOT / path)
+            if name.startswith("test_") and wanted(name)
         )
         for file, paths in CORE.items()
     }

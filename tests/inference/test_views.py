@@ -454,6 +454,25 @@ def test_too_few_roots_are_a_pilot_run_for_more(
     assert found.proposals == sum(asked)
 
 
+@pytest.mark.parametrize(("weighed", "wanted"), [(120, 40), (600, 100)])
+def test_pilot_runs_refine_by_forty_bodies_or_a_sixth_of_all(
+    weighed: int, wanted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def tempered(log_weight: np.ndarray, least: float) -> np.ndarray:
+        asked.append(least)
+        return shares(log_weight)
+
+    proposal = SimpleNamespace(refined=lambda steps, share: proposal)
+    monkeypatch.setattr(weighted, "fitted", lambda posterior: proposal)
+    monkeypatch.setattr(weighted, "pooled", lambda pilots: (None, np.zeros(weighed)))
+    monkeypatch.setattr(weighted, "tempered", tempered)
+    monkeypatch.setattr(weighted, "weigh", lambda *given: Run(np.zeros(given[3]), given[3]))
+    weigh_refined(SimpleNamespace(), jax.random.key(0), 60)
+    assert asked == [pytest.approx(wanted)]
+
+
 def test_a_body_weighs_by_its_torso_and_the_means_of_its_limbs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

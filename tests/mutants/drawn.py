@@ -90,12 +90,10 @@ LONGEST = {QUICK: 200.0, SLOW: 900.0}
 take."""
 PASSED = (0, 5)
 """Pytest's exit codes where all tests passed, and where there was none."""
-BROKEN = (3, 4)
-"""Those of pytest's own faults, and of tests that are not there."""
 UNSEEN = "not seen"
 """What is said where no test sees a fault."""
 NO_END = "no end"
-"""What saw a fault under which tests do not end."""
+"""What saw a fault under which tests do not end, or their process dies."""
 
 
 class Drawn(NamedTuple):
@@ -144,23 +142,25 @@ def _require_passed(copy: Copy, marks: str, test: str) -> None:
 
 
 def _failing(copy: Copy, marks: str, tests: tuple[str, ...]) -> str:
-    """The first of some tests that fails, or `UNSEEN`."""
+    """The first of some tests that fails, or `UNSEEN`. Raises `RuntimeError` where pytest says
+    anything else."""
+    report = copy.root / "report.xml"
+    report.unlink(missing_ok=True)
     code, _ = copy.run(["-x", "-m", marks, *tests], LONGEST[marks]) if tests else (0, 0.0)
     if code in PASSED:
         return UNSEEN
-    if code in BROKEN:
-        raise RuntimeError(copy.said)
-    return NO_END if code == TIME_UP else _failed(copy.root)
-
-
-def _failed(root: Path) -> str:
-    """The first test that failed in the last run, or the file that could not be read."""
-    for case in ElementTree.parse(root / "report.xml").iter("testcase"):
+    if code == TIME_UP or code < 0:
+        return NO_END
+    for case in ElementTree.parse(report).iter("testcase"):
         if case.find("failure") is not None or case.find("error") is not None:
-            *where, name = filter(None, (case.get("classname"), case.get("name")))
-            file = "/".join((where or [name])[0].split("."))
-            return f"{file}.py::{name}" if where else f"{file}.py"
-    return NO_END  # the process died
+            return _named(case.get("classname"), case.get("name") or "")
+    raise RuntimeError(copy.said)
+
+
+def _named(module: str | None, name: str) -> str:
+    """A test of a module, or a file of tests that could not be read, as pytest names them."""
+    path = (module or name).replace(".", "/") + ".py"
+    return f"{path}::{name}" if module else path
 
 
 def all_of(file: str) -> list[Drawn]:

@@ -13,6 +13,7 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from poseterior.inference.exact.groups import group_tables
 from poseterior.inference.exact.loops.seeds import seeded
 from poseterior.inference.exact.loops.tables import ROOTS
 from poseterior.inference.exact.rates import Budget
@@ -24,6 +25,7 @@ from poseterior.inference.importance.fault_patterns import (
     log_priors,
     propose_faults,
 )
+from poseterior.inference.importance.limbs import LimbSampling, blind, weigh_limbs
 from poseterior.inference.importance.rejection import (
     ATTEMPTS,
     FIRST,
@@ -45,6 +47,7 @@ from poseterior.inference.importance.two_stage import PatternRoots, propose_root
 from poseterior.inference.importance.weighted import WeightedRoots, _enough, log_limbs
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.roots import RootPoint
@@ -121,6 +124,21 @@ def test_limbs_weigh_roots_by_the_size_of_a_pixel_at_every_joint(lens: Lens | No
         expected += 2 * np.log1p(scale[:, None] * depth[:, seen] / FOCAL).sum(axis=1)
     weight = log_limbs(found, points, Faults.none(7), limbs)
     np.testing.assert_allclose(weight, expected, rtol=1e-9)
+
+
+def test_every_root_has_limbs_of_its_own_in_whatever_block_it_is() -> None:
+    """Three roots that see nothing: no two have the same draws, and the last two have those that
+    they have by themselves."""
+    sampling = LimbSampling(group_tables(model()), {}, [1, 2], Gaussian(), {1: (4, 2), 2: (4, 2)})
+
+    def lengths(number: int, first: int) -> list[np.ndarray]:
+        views = blind(number)
+        found = weigh_limbs(sampling, views, np.zeros(views.reach.shape, bool), first)
+        return [one["arms"].draws[0] for one in found]
+
+    whole, part = lengths(3, 0), lengths(2, 1)
+    assert len(np.unique([one[0, 0] for one in whole])) == 3
+    np.testing.assert_array_equal(whole[1:], part)
 
 
 def test_an_outlier_is_worth_its_odds_and_its_own_peak() -> None:
@@ -409,6 +427,20 @@ def test_weighted_proposals_have_the_mean_of_their_weights(
     assert abs(found.points.torso.sum() - 150) <= 1
     expected = np.where(found.points.torso == 1, 3, 1) * 200 / made
     np.testing.assert_allclose(found.inclusion, expected)
+
+
+def test_proposals_of_which_none_is_a_root_count_as_the_budget_has_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem: Any = SimpleNamespace(lowest=1.0, highest=2.0, upright=0.0)
+    proposal: Any = SimpleNamespace(
+        mass=7.0, propose=lambda _, proposals, roots: (0, proposals), thinned=False, exact=False
+    )
+    monkeypatch.setattr(torso_proposals, "points_of", lambda _, roots: some_roots(len(roots)))
+    budget = Budget(10**6)
+    found = draw_torso(Batches(problem, proposal, [0, 0]), 100, budget, most=200)
+    assert found.proposals == budget.spent > torso_proposals.PROBE
+    assert found.log_evidence == -math.inf
 
 
 @pytest.mark.parametrize(

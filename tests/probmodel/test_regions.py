@@ -92,7 +92,8 @@ def assert_totals(hinge: Hinge, measure: str) -> None:
 
 def test_boxes_around_hinges_hold_all_that_is_allowed_and_hardly_more() -> None:
     """By a grid of u2 and the angle about it, 0.01 and 0.02 wide. Half of the hinges fill their
-    boxes but for a step or two; a bound may be generous where plane and box meet askew."""
+    boxes but for a step or two; where plane and box meet askew bounds may be generous: twelve are,
+    by more than a tenth."""
     found = hinges("area")
     offset, bounds, boxes = (np.asarray(part) for part in (found.offset, found.bounds, found.box))
     u2, turn = np.linspace(-1, 1, 201)[:, None], np.linspace(-np.pi, np.pi, 315)[None]
@@ -106,6 +107,7 @@ def test_boxes_around_hinges_hold_all_that_is_allowed_and_hardly_more() -> None:
             spare.append((box - ends) * [-1, 1, -1, 1])
     assert np.min(spare) >= 0
     assert np.median(np.max(spare, axis=1)) < 0.03
+    assert np.sum(np.max(spare, axis=1) > 0.1) <= 12
 
 
 @pytest.mark.slow

@@ -81,7 +81,7 @@ mutants: $(VENV)/.done
 # MUTANTS_NAMES in which files, MUTANTS_SLOW=1 that slow tests see what quick ones do not, MUTANTS_EARLIER
 # a commit whose tests are counted apart.
 drawn-mutants: $(VENV)/.done
-	XLA_FLAGS=--xla_backend_optimization_level=0 $(BIN)/python -m tests.mutants.drawn
+	$(BIN)/python -m tests.mutants.drawn
 
 # KILLS says how many of each command (or KILLS_SECONDS how long in all), KILLS_SEED which.
 kills: $(VENV)/.done

@@ -594,6 +594,23 @@ def test_draws_are_kept_as_often_as_their_law_is_of_its_bound():
     assert set(found[:, 0]) <= set(whole[:, 0])
 
 
+@pytest.mark.parametrize(
+    ("proposed", "wanted", "affordable", "expected"),
+    [
+        (1000, 10_000, 10**9, [100_000 // 6] * 6),
+        (1000, 10_000, 50_000, [50_000 // 3] * 3),
+        (10, 10**6, 10**9, [6 * 2048]),
+    ],
+    ids=["enough", "affordable", "hardly known"],
+)
+def test_batches_are_as_large_as_one_in_ten_needs(proposed, wanted, affordable, expected):
+    """Of batches of 2 ** 14 at least as many as there is work for, eight at most; no more than the
+    budget has, and 1,024 times what is known, in pilot batches of 2 ** 11."""
+    sampler = stratified(PoseModel(), prior_scene(PoseModel(), 2), "arms", 7)
+    sampler._rates = [Rate(proposed, proposed // 10)]
+    assert sampler._sizes(wanted, affordable) == expected
+
+
 @pytest.mark.parametrize(("unseen", "first"), [("right", 1), ("left", 0)])
 def test_the_limb_that_fails_more_often_is_tried_first(unseen, first):
     """Of two arms the one that was seen: after it the other is hardly ever tried in vain."""

@@ -78,7 +78,8 @@ mutants: $(VENV)/.done
 	$(BIN)/python -m tests.mutants
 
 # Faults by cosmic-ray: MUTANTS_NUMBER says how many (or MUTANTS_SECONDS how long), MUTANTS_SEED which,
-# MUTANTS_NAMES in which files.
+# MUTANTS_NAMES in which files, MUTANTS_SLOW=1 that slow tests see what quick ones do not, MUTANTS_EARLIER
+# a commit whose tests are counted apart.
 drawn-mutants: $(VENV)/.done
 	$(BIN)/python -m tests.mutants.drawn
 

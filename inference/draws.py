@@ -20,6 +20,7 @@ import jax
 import numpy as np
 
 from poseterior.inference.exact.loops.numbers import words_of
+from poseterior.inference.exact.placing import place_shared
 from poseterior.probmodel.chunks import CHUNK, in_chunks
 from poseterior.probmodel.errors.faults import Faults
 from poseterior.probmodel.failures import BadInput, require_some, shown
@@ -27,7 +28,7 @@ from poseterior.probmodel.model import PoseModel
 from poseterior.probmodel.pose import Pose
 from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.programs import kept
-from poseterior.probmodel.root_priors import RootPrior
+from poseterior.probmodel.root_priors import Candidates, RootPrior
 from poseterior.probmodel.roots import RootPoint
 from poseterior.probmodel.skeleton import NUM_JOINTS
 
@@ -167,6 +168,8 @@ def place(
     views, of draws `(n, ...)`, `size` of them at a time."""
     if not len(poses.length):
         return np.empty((0, NUM_JOINTS, 3)), np.empty((0, *posterior.detection.keypoints.shape))
+    if isinstance(posterior.root_prior, Candidates):
+        return place_shared(posterior.model, posterior.root_prior.roots, points, poses)
     return over_draws(_place, (posterior.model, posterior.root_prior), points, poses, size=size)
 
 

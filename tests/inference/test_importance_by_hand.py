@@ -13,11 +13,19 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from poseterior.inference.exact.groups import group_tables
 from poseterior.inference.exact.loops.seeds import seeded
 from poseterior.inference.exact.loops.tables import ROOTS
 from poseterior.inference.exact.rates import Budget
 from poseterior.inference.importance import rejection, torso_proposals, two_stage
-from poseterior.inference.importance.fault_patterns import fault_patterns, log_priors
+from poseterior.inference.importance.fault_patterns import (
+    FaultPattern,
+    FitScore,
+    fault_patterns,
+    log_priors,
+    propose_faults,
+)
+from poseterior.inference.importance.limbs import LimbSampling, blind, weigh_limbs
 from poseterior.inference.importance.rejection import (
     ATTEMPTS,
     FIRST,
@@ -28,6 +36,7 @@ from poseterior.inference.importance.rejection import (
     _Rounds,
 )
 from poseterior.inference.importance.torso_proposals import (
+    TORSO_ZERO_ACCEPTANCE_LIMIT,
     Batches,
     draw_torso,
     exact_proposal,
@@ -38,6 +47,7 @@ from poseterior.inference.importance.two_stage import PatternRoots, propose_root
 from poseterior.inference.importance.weighted import WeightedRoots, _enough, log_limbs
 from poseterior.probmodel.camera import Lens
 from poseterior.probmodel.errors.faults import Faults
+from poseterior.probmodel.errors.laws import Gaussian
 from poseterior.probmodel.posterior import Posterior
 from poseterior.probmodel.root_priors import UNCERTAIN
 from poseterior.probmodel.roots import RootPoint
@@ -114,6 +124,21 @@ def test_limbs_weigh_roots_by_the_size_of_a_pixel_at_every_joint(lens: Lens | No
         expected += 2 * np.log1p(scale[:, None] * depth[:, seen] / FOCAL).sum(axis=1)
     weight = log_limbs(found, points, Faults.none(7), limbs)
     np.testing.assert_allclose(weight, expected, rtol=1e-9)
+
+
+def test_every_root_has_limbs_of_its_own_in_whatever_block_it_is() -> None:
+    """Three roots that see nothing: no two have the same draws, and the last two have those that
+    they have by themselves."""
+    sampling = LimbSampling(group_tables(model()), {}, [1, 2], Gaussian(), {1: (4, 2), 2: (4, 2)})
+
+    def lengths(number: int, first: int) -> list[np.ndarray]:
+        views = blind(number)
+        found = weigh_limbs(sampling, views, np.zeros(views.reach.shape, bool), first)
+        return [one["arms"].draws[0] for one in found]
+
+    whole, part = lengths(3, 0), lengths(2, 1)
+    assert len(np.unique([one[0, 0] for one in whole])) == 3
+    np.testing.assert_array_equal(whole[1:], part)
 
 
 def test_an_outlier_is_worth_its_odds_and_its_own_peak() -> None:
@@ -340,6 +365,24 @@ def test_an_outlier_of_the_torso_is_worth_as_much_in_its_pattern() -> None:
     assert max(logs[1:]) < -3
 
 
+def test_a_limbs_outliers_are_proposed_as_often_as_is_said() -> None:
+    """Of the right arm none, the elbow, the wrist or both, with scores of 1 to 4 tenths; a tenth of
+    all is proposed by the roots of these. False alarms: one in 10,000."""
+    number, chance = 4000, np.array([0.1, 0.2, 0.3, 0.4])
+    share = 0.9 * chance + 0.1 * np.sqrt(chance) / np.sqrt(chance).sum()
+    limbs = np.full((number, 1, 5, 4), -np.inf)
+    limbs[..., 0] = 0.0
+    limbs[:, 0, 1] = np.log(chance)
+    score = FitScore(limbs, (0,), np.zeros(1))
+    nothing = FaultPattern(Faults.none(), (0,))
+    faults, log_proposal = propose_faults(score, nothing, np.random.default_rng(0))
+    arm = [JOINT_INDEX["right_elbow"], JOINT_INDEX["right_wrist"]]
+    which = faults.outlier[:, arm] @ [1, 2]
+    assert stats.chisquare(np.bincount(which, minlength=4), number * share).pvalue > 1e-4
+    np.testing.assert_allclose(log_proposal, np.log(share)[which])
+    assert not np.delete(faults.outlier, arm, axis=1).any()
+
+
 @pytest.mark.parametrize("lens", [None, Lens(FOCAL, PRINCIPAL)])
 def test_a_root_is_taken_by_what_its_limbs_would_weigh_it(lens: Lens | None) -> None:
     """The first-stage weight is what `log_limbs` makes of the fit in the limbs' evidence's
@@ -384,6 +427,20 @@ def test_weighted_proposals_have_the_mean_of_their_weights(
     assert abs(found.points.torso.sum() - 150) <= 1
     expected = np.where(found.points.torso == 1, 3, 1) * 200 / made
     np.testing.assert_allclose(found.inclusion, expected)
+
+
+def test_proposals_of_which_none_is_a_root_count_as_the_budget_has_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem: Any = SimpleNamespace(lowest=1.0, highest=2.0, upright=0.0)
+    proposal: Any = SimpleNamespace(
+        mass=7.0, propose=lambda _, proposals, roots: (0, proposals), thinned=False, exact=False
+    )
+    monkeypatch.setattr(torso_proposals, "points_of", lambda _, roots: some_roots(len(roots)))
+    budget = Budget(10**6)
+    found = draw_torso(Batches(problem, proposal, [0, 0]), 100, budget, most=200)
+    assert found.proposals == budget.spent > torso_proposals.PROBE
+    assert found.log_evidence == -math.inf
 
 
 @pytest.mark.parametrize(
@@ -635,6 +692,15 @@ def test_a_pilot_run_without_any_weight_ends() -> None:
     rounds = iter(
         [SimpleNamespace(limbs=[{}] * 10, log_weight=np.full(10, -np.inf), attempts=10)] * 5
     )
+    given: Any = rounds
+    assert _bound(given, 1) == -math.inf
+    assert len(list(rounds)) == 3
+
+
+def test_a_pilot_run_without_any_root_ends() -> None:
+    """Half the attempts that are allowed where none brings a root: two rounds are made."""
+    attempts = TORSO_ZERO_ACCEPTANCE_LIMIT // 2
+    rounds = iter([SimpleNamespace(limbs=[], log_weight=np.zeros(0), attempts=attempts)] * 5)
     given: Any = rounds
     assert _bound(given, 1) == -math.inf
     assert len(list(rounds)) == 3

@@ -298,6 +298,17 @@ def test_same_key_same_draws_and_a_longer_run_goes_on_with_them(model):
     assert np.array_equal(one.tree["posterior"].joints, two.tree["posterior"].joints)
 
 
+def test_blocks_are_other_draws_and_count_proposals_together(model):
+    """Of 60 draws in blocks of 20 none comes twice. The acceptance rate is of all until then."""
+    posterior = prior_scene(model, 2).posterior(model, "candidates")
+    blocks = list(ExactRejection().blocks(posterior, key(0), 60, block=20))
+    lengths = np.concatenate([block.bone_length for block in blocks])
+    assert len(np.unique(lengths, axis=0)) == 60
+    for made, block in zip((20, 40, 60), blocks, strict=True):
+        proposals = block.attributes["num_proposals"]
+        assert block.attributes["acceptance_rate"] == made / proposals
+
+
 def test_every_draw_is_possible_and_explains_the_detection(model):
     frame = prior_scene(model, 6, missing=("left_wrist", "head"))
     result = inference.sample(model, frame, key=key(0), num_samples=2000, root="candidates")

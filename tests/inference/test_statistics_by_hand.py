@@ -38,7 +38,11 @@ from poseterior.inference.studies.calibration.verdict import (
 )
 from poseterior.inference.studies.comparison.mixing import Mixing, mean_ess, mixing
 from poseterior.inference.studies.comparison.modes import counts_by_mode, modes, same_shares
-from poseterior.inference.studies.comparison.permutation import _some, permutation_tests
+from poseterior.inference.studies.comparison.permutation import (
+    _some,
+    classifier_test,
+    permutation_tests,
+)
 from poseterior.inference.studies.comparison.power import _noncentrality, _shift, _wider, seen
 from poseterior.inference.studies.comparison.ranks import all_together, each_coordinate, scores
 from poseterior.probmodel import BadInput
@@ -347,6 +351,13 @@ def test_what_a_run_could_have_seen() -> None:
 
 
 # Permutations.
+
+
+def test_a_coin_is_right_a_hundred_times_as_seldom_as_two_to_the_minus_hundred() -> None:
+    """Sides far apart: a hundred draws are held out, and none is taken for the other's."""
+    rng = np.random.default_rng(0)
+    one, other = rng.normal(size=(100, 2)), rng.normal(size=(100, 2)) + 50
+    assert classifier_test(one, other, rng) == (1.0, pytest.approx(0.5**100, abs=0))
 
 
 def test_a_permutation_is_as_far_or_not() -> None:

@@ -45,7 +45,7 @@ from poseterior.inference.exact.problem import limb_problems
 from poseterior.inference.exact.rates import Budget, Pooled, Rate
 from poseterior.probmodel import Anatomy, PoseModel, kinematics
 from poseterior.probmodel.anatomy.limits import CELL, NUM_ELEVATION, cell_of
-from poseterior.probmodel.pose import Pose
+from poseterior.probmodel.pose import GroupDraws, Pose
 from poseterior.probmodel.root_priors import CANDIDATES
 from poseterior.probmodel.skeleton import GROUPS
 from poseterior.probmodel.transport import to_cube
@@ -569,6 +569,56 @@ def same_strata(one, other) -> bool:
 def stratified(model, frame, name, seed) -> StratifiedGroup:
     limbs = limb_problems(frame.observation)
     return StratifiedGroup(key(seed), name, group_tables(model)[name], limbs[name])
+
+
+def test_draws_are_kept_as_often_as_their_law_is_of_its_bound():
+    """Half of one batch, those with the shorter upper arms, by a law of one in four of its bound:
+    as many are left as a binomial says (false alarms: one in 10,000). All others stay."""
+    model = PoseModel()
+    limbs = limb_problems(prior_scene(model, 2).observation)["arms"]
+    tables = group_tables(model)["arms"]
+    middle = 0.0  # no length is below it
+
+    def log_ratio(draws: GroupDraws) -> np.ndarray:
+        return np.where(draws.length[:, 0] < middle, np.log(0.25), 0.0)
+
+    def drawn() -> np.ndarray:
+        return StratifiedGroup(key(7), "arms", tables, limbs, log_ratio)._batch(0, 8192)[0].length
+
+    whole = drawn()
+    middle = np.median(whole[:, 0])
+    found = drawn()
+    short = np.sum(found[:, 0] < middle)
+    assert len(found) - short == np.sum(whole[:, 0] >= middle)
+    assert stats.binomtest(int(short), int(np.sum(whole[:, 0] < middle)), 0.25).pvalue > 1e-4
+    assert set(found[:, 0]) <= set(whole[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("proposed", "wanted", "affordable", "expected"),
+    [
+        (1000, 10_000, 10**9, [100_000 // 6] * 6),
+        (1000, 10_000, 50_000, [50_000 // 3] * 3),
+        (10, 10**6, 10**9, [6 * 2048]),
+    ],
+    ids=["enough", "affordable", "hardly known"],
+)
+def test_batches_are_as_large_as_one_in_ten_needs(proposed, wanted, affordable, expected):
+    """Of batches of 2 ** 14 at least as many as there is work for, eight at most; no more than the
+    budget has, and 1,024 times what is known, in pilot batches of 2 ** 11."""
+    sampler = stratified(PoseModel(), prior_scene(PoseModel(), 2), "arms", 7)
+    sampler._rates = [Rate(proposed, proposed // 10)]
+    assert sampler._sizes(wanted, affordable) == expected
+
+
+@pytest.mark.parametrize(("unseen", "first"), [("right", 1), ("left", 0)])
+def test_the_limb_that_fails_more_often_is_tried_first(unseen, first):
+    """Of two arms the one that was seen: after it the other is hardly ever tried in vain."""
+    model = PoseModel()
+    frame = prior_scene(model, 2, missing=(f"{unseen}_elbow", f"{unseen}_wrist"))
+    sampler = stratified(model, frame, "arms", 7)
+    assert sampler.more(500, Budget(10**9))
+    assert sampler._order[0] == first
 
 
 def test_same_key_same_draws_and_more_are_added_at_the_end():

@@ -92,6 +92,15 @@ def off(one: dict, other: dict) -> float:
     return float(np.max(np.abs(one["mean"] - other["mean"]) / error))
 
 
+def test_where_no_fault_is_believed_every_one_is_impossible() -> None:
+    """An exchange, an outlier, and nothing: of a prior without faults."""
+    counts, nothing = np.ones(NUM_JOINTS, bool), Faults.none()
+    given = {"exchange": np.asarray(1), "outlier": np.arange(NUM_JOINTS) == LIMB_INDEX[0]}
+    wrong = [nothing._replace(**{name: value}) for name, value in given.items()]
+    found = [float(FaultPrior().log_prob(counts, one)) for one in (*wrong, nothing)]
+    assert found == [-math.inf, -math.inf, 0.0]
+
+
 @pytest.mark.slow
 def test_patterns_weighed_by_their_prior_alone_are_found_out():
     """Negative control beside the oracle's table, which holds the right weights: the proposal's

@@ -454,6 +454,69 @@ def test_too_few_roots_are_a_pilot_run_for_more(
     assert found.proposals == sum(asked)
 
 
+@pytest.mark.parametrize(("weighed", "wanted"), [(120, 40), (600, 100)])
+def test_pilot_runs_refine_by_forty_bodies_or_a_sixth_of_all(
+    weighed: int, wanted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def tempered(log_weight: np.ndarray, least: float) -> np.ndarray:
+        asked.append(least)
+        return shares(log_weight)
+
+    proposal = SimpleNamespace(refined=lambda steps, share: proposal)
+    monkeypatch.setattr(weighted, "fitted", lambda posterior: proposal)
+    monkeypatch.setattr(weighted, "pooled", lambda pilots: (None, np.zeros(weighed)))
+    monkeypatch.setattr(weighted, "tempered", tempered)
+    monkeypatch.setattr(weighted, "weigh", lambda *given: Run(np.zeros(given[3]), given[3]))
+    weigh_refined(SimpleNamespace(), jax.random.key(0), 60)
+    assert asked == [pytest.approx(wanted)]
+
+
+def test_a_body_weighs_by_its_torso_and_the_means_of_its_limbs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As many bodies as two programs take."""
+    number, rng = weighted.BODIES_AT_ONCE + 10, np.random.default_rng(0)
+    torso, density = rng.normal(size=(2, number))
+    limbs = rng.normal(size=(number, 5, PER_LIMB))
+    nothing = np.zeros((number, 5, PER_LIMB, 3))
+
+    def weigh_bodies(*given: np.ndarray) -> tuple:
+        rows = given[-1]
+        return torso[rows], (limbs[rows], nothing[rows], nothing[rows])
+
+    proposal = SimpleNamespace(
+        draw=lambda rng, number: SimpleNamespace(exchange=np.arange(number)),
+        bodies=lambda steps: SimpleNamespace(
+            take=lambda rows: SimpleNamespace(point=(rows,), length=rows)
+        ),
+        log_density=lambda steps: density,
+    )
+    monkeypatch.setattr(weighted, "weigh_bodies", weigh_bodies)
+    posterior = SimpleNamespace(**dict.fromkeys(("model", "detected", "faults", "root_prior")))
+    found = weighted.weigh(posterior, proposal, jax.random.key(0), number).log_weight
+    weight = np.exp(torso - density) * np.exp(limbs).mean(axis=-1).prod(axis=-1)
+    np.testing.assert_allclose(np.exp(found), weight)
+
+
+def test_roots_of_one_view_stand_in_the_world_where_it_sees_them() -> None:
+    """The pelvis, the size and the way that a body faces, of the last of four cameras."""
+    camera, number = straight(4)[3], 6
+    rng = np.random.default_rng(0)
+    roots = RootPoint(
+        np.arange(number),
+        stats.special_ortho_group.rvs(3, size=number, random_state=rng),
+        rng.normal(4.0, 0.3, number),
+        camera.principal + rng.normal(scale=200.0, size=(number, 2)),
+    )
+    found = weighted._in_the_world(camera, roots, rng)
+    np.testing.assert_allclose(camera.project(found.place), roots.translation)
+    pixels = camera.focal[0] * np.exp(found.log_size) / camera.view(found.place)[:, 2]
+    np.testing.assert_allclose(pixels, np.exp(roots.log_scale))
+    np.testing.assert_allclose(camera.rotation @ found.rotation, roots.rotation, atol=1e-12)
+
+
 def evidence_by_the_prior(posterior, key: int, number: int) -> tuple[float, float]:
     """The evidence by importance sampling with the program's log joint: root and lengths as the
     product proposes them, directions from the prior. Log, and its standard error."""

@@ -78,11 +78,11 @@ def _slow(root: Path, test: str) -> bool | None:
     """Whether a test is one of the slow run, parameters marked one by one aside; None where there
     is no such test."""
     path, _, name = test.partition("::")
-    return _tests(root / path).get(name.partition("[")[0])
+    return tests_of(root / path).get(name.partition("[")[0])
 
 
 @functools.cache
-def _tests(path: Path) -> dict[str, bool]:
+def tests_of(path: Path) -> dict[str, bool]:
     """The functions of a file, and whether each is marked slow."""
     if not path.is_file():
         return {}

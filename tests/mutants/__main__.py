@@ -11,6 +11,7 @@ is 1 where one survives, 2 where nothing could be judged."""
 
 import contextlib
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -35,20 +36,21 @@ FAILED = 1
 
 
 class Outcome(NamedTuple):
-    """What the tests of a fault said: whether all of them failed, in words, and the seconds of the
-    processor that it took."""
+    """What the tests of a fault said: whether all of them failed, in words, the milliseconds that
+    they took themselves, and the seconds of the processor with all that they need."""
 
     fault: Fault
     killed: bool
     words: str
+    milliseconds: float
     seconds: float
 
     @property
     def row(self) -> str:
         """A line of the table."""
         tests = ", ".join(test.partition("::")[2] for test in self.fault.tests)
-        cells = (self.fault.name, self.fault.file, tests, self.words, f"{self.seconds:.0f} s")
-        return " | ".join(cells)
+        times = f"{self.milliseconds:.0f} ms", f"{self.seconds:.0f} s"
+        return " | ".join((self.fault.name, self.fault.file, tests, self.words, *times))
 
 
 class Copy:
@@ -114,13 +116,13 @@ class Copy:
         """What the tests of a fault say of it."""
         with self.planted(fault, number):
             code, used = self.run(fault.tests, LONGEST)
-        killed, words = False, f"SURVIVED: no end within {LONGEST:g} s"
+        killed, words, milliseconds = False, f"SURVIVED: no end within {LONGEST:g} s", math.nan
         if code == FAILED:
-            left = self._passed()
+            left, milliseconds = self._passed()
             killed, words = not left, f"SURVIVED in {left}" if left else "killed"
         elif code != TIME_UP:
             words = f"SURVIVED: {(self.said.strip().splitlines() or ['no word'])[-1]}"
-        return Outcome(fault, killed, words, used)
+        return Outcome(fault, killed, words, milliseconds, used)
 
     @contextlib.contextmanager
     def planted(self, fault: Fault, number: int) -> Iterator[None]:
@@ -136,14 +138,16 @@ class Copy:
             path.write_bytes(kept)
             os.utime(path, times=(stamp,) * 2)
 
-    def _passed(self) -> int:
-        """How many of the last tests did not fail."""
+    def _passed(self) -> tuple[int, float]:
+        """How many of the last tests did not fail, and the milliseconds that all of them took."""
         suite = ElementTree.parse(self.root / "report.xml").getroot().find("testsuite")
         assert suite is not None
         tests, failures, errors = (
             int(suite.attrib[name]) for name in ("tests", "failures", "errors")
         )
-        return tests - failures - errors
+        return tests - failures - errors, 1e3 * sum(
+            float(case.attrib["time"]) for case in suite.iter("testcase")
+        )
 
 
 def main() -> int:

@@ -20,6 +20,7 @@ SOURCES = (
     "inference/exact/loops/line_of_sight.py",
     "inference/exact/loops/numbers.py",
     "inference/exact/loops/pairs.py",
+    "inference/exact/loops/placing.py",
     "inference/exact/loops/proposals.py",
     "inference/exact/loops/rectangles.py",
     "inference/exact/loops/roots.py",
@@ -30,6 +31,7 @@ SOURCES = (
     "inference/exact/loops/vectors.py",
     "inference/exact/loops/weighted_limbs.py",
     "probmodel/kinematics.py",
+    "probmodel/skeleton.py",
     "probmodel/anatomy/limits.py",
 )
 """All files whose text ends in the compiled loops, as functions or as constants."""

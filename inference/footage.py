@@ -12,6 +12,9 @@ from poseterior.probmodel.level import CalibratedWorld
 from poseterior.probmodel.posterior import Estimate
 from poseterior.probmodel.sessions import Session
 
+SIDES_TOLD_AT = "sides_told_at"
+"""What a stream calls the rate by which left and right were told before it was drawn."""
+
 
 class Item(NamedTuple):
     """A frame of a stream.
@@ -32,6 +35,33 @@ class Item(NamedTuple):
     name: str
     frame: Estimate | Detection | Instant | str
     exchange: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class FramesInMotion:
+    """The frames of a film that know what the others say of left and right: items of a stream.
+
+    Attributes
+    ----------
+    items
+        With an `exchange`.
+    rate
+        Frames a second by which it was told.
+    """
+
+    items: list[Item]
+    rate: float
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __iter__(self) -> Iterator[Item]:
+        return iter(self.items)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What draws depend on beside the detections: plain JSON values."""
+        return {SIDES_TOLD_AT: self.rate}
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ import xarray as xr
 from poseterior.inference.composition import compose
 from poseterior.inference.draws import MAX_PROPOSALS, Draws, key_of, key_words
 from poseterior.inference.estimators import Estimating
-from poseterior.inference.footage import Footage, Item
+from poseterior.inference.footage import Footage, FramesInMotion, Item
 from poseterior.inference.hypothesis import Hypothesis, diverse
 from poseterior.inference.machines import HERE, Machines, in_threads
 from poseterior.inference.results import focal_of, provenance
@@ -275,7 +275,7 @@ def sample_frames(
         "block": size,
         **draw.settings,
         **(estimating.settings if estimating else {}),
-        **(frames.settings if isinstance(frames, Footage) else {}),
+        **(frames.settings if isinstance(frames, Footage | FramesInMotion) else {}),
         "k": k,
         **({"composed": True} if composed else {}),
         "keep": keep,
@@ -614,7 +614,7 @@ class _Drawing:
         )
         if not len(draws):
             return drawn
-        if draws.posterior.faults.any:
+        if self._knows_faults(draws):
             patterns = np.asarray(draws.faults.exchange)[..., None] == np.arange(NUM_EXCHANGES)
             outlier = np.mean(draws.faults.outlier, axis=0)
             drawn = drawn._replace(outlier=outlier, exchange=np.mean(patterns, axis=0))
@@ -626,6 +626,11 @@ class _Drawing:
         if self.world is not None:
             return _in_world(draws, self.world)
         return PoseDraws(draws.joints, draws.bone_length, *_standing(draws, self._lens_of(frame)))
+
+    def _knows_faults(self, draws: Draws) -> bool:
+        """Whether the law has faults, though none may be possible in this frame of a film."""
+        law = None if self.estimating is None else self.estimating.likelihood
+        return draws.posterior.faults.any or (law is not None and law.faults.any)
 
     def _lens_of(self, frame: Estimate | Instant) -> Lens | None:
         return self.lens if isinstance(frame, Instant) or frame.lens is None else frame.lens

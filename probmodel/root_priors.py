@@ -276,7 +276,8 @@ class TorsoCameraPrior:
         """Of a side's mean camera there is no reprojection error."""
         return np.nan
 
-    def counted(self, joints: Sequence[int]) -> list[int]:
+    @staticmethod
+    def counted(joints: Sequence[int]) -> list[int]:
         """The joints whose keypoints are detections under a root: the torso's with all others."""
         return sorted({*TORSO_INDEX, *joints})
 

@@ -26,7 +26,7 @@ from poseterior.inference.films.gaps import filled
 from poseterior.inference.films.lenses import film_lenses, rows_of_lens
 from poseterior.inference.films.parts import Parts, PathBodies, put_together, taken_apart
 from poseterior.inference.films.sides import with_sides
-from poseterior.inference.footage import Footage, Item
+from poseterior.inference.footage import SIDES_TOLD_AT, Footage, Item
 from poseterior.inference.hypothesis import Hypothesis, diverse
 from poseterior.inference.machines import HERE, Machines
 from poseterior.inference.resampling import times
@@ -94,7 +94,9 @@ def sample_film(
     Parameters
     ----------
     model, frames
-        As `sample_frames` takes them; torso and camera are uncertain.
+        As `sample_frames` takes them, of one person; torso and camera are uncertain. Detections are
+        all read first: how keypoints move says where left and right are exchanged (`sides`), in the
+        place of what the law says of any frame.
     rate
         As `film_of` takes it.
     key
@@ -190,12 +192,13 @@ def film_of(
     Raises
     ------
     BadInput
-        On a rate, a cutoff or a k that cannot be; where no draws were kept, there is no such person
-        or nobody with a pose; where frames are numbered with many more gaps than frames; and as
+        On a rate, a cutoff or a k that cannot be, and a rate other than that by which left and
+        right were told; where no draws were kept, there is no such person or nobody with a pose;
+        where frames are numbered with many more gaps than frames; and as
         `open_stream` and `sample_frames`.
     """
     source, folder = Path(stream), Path(out)
-    tree = _frames_of(source)
+    tree = _frames_of(source, rate)
     paths = int(tree.attrs["keep"])
     require_film(rate, cutoff, k, paths)
     drawn, step = _drawn(source, tree, person, frames)
@@ -277,12 +280,20 @@ def require_film(rate: float, cutoff: float, k: int, paths: int) -> None:
         )
 
 
-def _frames_of(folder: Path) -> xr.DataTree:
-    """A stream of which a film can be made: its draws were kept, and are no paths yet."""
+def _frames_of(folder: Path, rate: float) -> xr.DataTree:
+    """A stream of which a film of that rate can be made: its draws were kept, and are no paths
+    yet."""
     tree = open_stream(folder)
     if tree.attrs["study"] == FILM:
         raise BadInput(
             f"{folder} is a film already; give what it was made of, the folder of its frames"
+        )
+    told = tree.attrs.get(SIDES_TOLD_AT, rate)
+    if told != rate:
+        raise BadInput(
+            f"in the frames of {folder} left and right were told from how they follow each other at"
+            f" {told:g} a second, and not at {rate:g}; give that rate, or draw them anew into"
+            " another folder"
         )
     require_draws(folder, tree.attrs)
     return tree

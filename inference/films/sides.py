@@ -13,13 +13,14 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.special import expit, logit
 
-from poseterior.inference.footage import Item
+from poseterior.inference.footage import FramesInMotion, Item
 from poseterior.inference.stream import frame_and_person, in_time
 from poseterior.probmodel.detections import Detection
 from poseterior.probmodel.errors.faults import EXCHANGES
 from poseterior.probmodel.errors.likelihood import Likelihood
 from poseterior.probmodel.errors.times import ErrorTimes
 from poseterior.probmodel.failures import BadInput
+from poseterior.probmodel.root_priors import TorsoCameraPrior
 from poseterior.probmodel.skeleton import BONES, JOINT_INDEX, LIMB_JOINTS, NUM_JOINTS
 
 BENDS = {
@@ -51,7 +52,9 @@ _MOVED = np.array([[kind in moved for kind in BENDS] for moved in EXCHANGES.valu
 """`(6, 6)`: whether a kind of joint is exchanged, by exchange."""
 
 
-def with_sides(items: Iterable[Item], rate: float, likelihood: Likelihood) -> list[Item]:
+def with_sides(
+    items: Iterable[Item], rate: float, likelihood: Likelihood
+) -> FramesInMotion | list[Item]:
     """Frames of one person that know how probable it is, by how keypoints move, that sides are
     exchanged in them.
 
@@ -67,8 +70,9 @@ def with_sides(items: Iterable[Item], rate: float, likelihood: Likelihood) -> li
 
     Returns
     -------
-    list of Item
-        The same, in their order; untouched where there are no exchanges, or no three frames.
+    FramesInMotion or list of Item
+        The same, in their order; untouched, and a list, where there are no exchanges, or no three
+        frames with keypoints.
     """
     found = list(items)
     order, numbers = in_time([frame_and_person(item.name)[0] for item in found])
@@ -82,8 +86,11 @@ def with_sides(items: Iterable[Item], rate: float, likelihood: Likelihood) -> li
     rows, counted, people = zip(*seen, strict=True)
     moments = np.array(counted) / rate
     keypoints = np.stack([person.keypoints for person in people])
+    unit = _body_unit(keypoints)
+    if unit == 0:
+        return found
     weight = straightness(
-        keypoints / _body_unit(keypoints),
+        keypoints / unit,
         np.stack([_deviation(person, likelihood) for person in people]),
         moments,
         None if likelihood.learned is None else likelihood.learned.times,
@@ -91,16 +98,17 @@ def with_sides(items: Iterable[Item], rate: float, likelihood: Likelihood) -> li
     probability = in_chain(weight, moments, likelihood.faults.exchange_probabilities)
     for row, each in zip(rows, probability, strict=True):
         found[row] = found[row]._replace(exchange=_rounded(each))
-    return found
+    return FramesInMotion(found, rate)
 
 
 def _deviation(person: Detection, likelihood: Likelihood) -> np.ndarray:
-    """`(15,)` body units: of errors each way; NaN in a frame of which nothing can be drawn, which
-    then says nothing here either."""
+    """`(15,)` body units: of errors each way; NaN of joints that do not count, and in a frame of
+    which nothing can be drawn, which says nothing here either."""
     try:
-        return np.asarray(likelihood.detected(person).spread) / 2
+        spread = likelihood.detected(person, TorsoCameraPrior.counted(likelihood.joints)).spread
     except BadInput:
         return np.full(NUM_JOINTS, np.nan)
+    return np.where(np.isfinite(spread), np.asarray(spread) / 2, np.nan)
 
 
 def straightness(
@@ -130,8 +138,9 @@ def straightness(
         on = after / before
     each = np.stack([on, -1 - on, np.ones_like(on)], axis=1)
     lasting = _lasting(np.stack([moments[:-2], moments[1:-1], moments[2:]], axis=1), times)
-    noise = np.einsum("ta,tab,tb->t", each, lasting, each)[:, None]
-    noise = noise * np.square(deviation[1:-1, _PAIRS]).mean(axis=-1)
+    own = np.sqrt(np.square(deviation[:, _PAIRS]).mean(axis=-1))
+    scaled = np.stack([own[:-2], own[1:-1], own[2:]], axis=1) * each[..., None]
+    noise = np.einsum("tak,tab,tbk->tk", scaled, lasting, scaled)
     bends = np.array([*BENDS.values()]) * ((before + after)[:, None] / 2 / BENDS_OF) ** GROWTH
     # (frames, kinds, exchanged, sides, axes)
     pairs = np.stack([keypoints[:, _PAIRS], keypoints[:, _PAIRS[:, ::-1]]], axis=2)
@@ -197,16 +206,17 @@ def _lasting(moments: np.ndarray, times: ErrorTimes | None) -> np.ndarray:
 
 def _body_unit(keypoints: np.ndarray) -> float:
     """About how many pixels a body unit is: the mean length of limb bones, as if they pointed
-    everywhere."""
+    everywhere; 0 where none is seen."""
     ends = np.array([[bone.start, bone.end] for bone in BONES if bone.end in LIMB_JOINTS])
     length = np.linalg.norm(np.diff(keypoints[:, ends], axis=2)[:, :, 0], axis=-1)
-    return float(4 / math.pi * np.nanmean(length))
+    seen = length[np.isfinite(length)]
+    return float(4 / math.pi * seen.mean()) if len(seen) else 0.0
 
 
 def _rounded(probability: np.ndarray) -> tuple[float, ...]:
     """Those of all exchanges but "none", which remains possible; their odds rounded."""
     with np.errstate(divide="ignore"):
-        decades = logit(probability) / math.log(10)
+        decades = logit(np.clip(probability, 0.0, 1.0)) / math.log(10)
     most = MOST_DECADES - 0.5
     some = expit(math.log(10) * np.clip(np.floor(decades) + 0.5, -most, most))
     some[1:][decades[1:] < -MOST_DECADES] = 0.0

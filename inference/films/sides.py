@@ -40,7 +40,7 @@ they were fitted from 1/60 to 4/15 of a second."""
 GROWTH, BENDS_FREEDOM = 1.3, 2.0
 OVERLAP = 1 / 3
 """The power of every three frames' weight: each frame is in three of them, with the same errors.
-Chosen on captured people, beside 1, 1/2 and 3/10."""
+Chosen on captured people, beside 1, 1/2 and 1/4 (reports/sides.md)."""
 EXCHANGE_LASTS = 0.5
 """Seconds. Between 0.2 and 1.5 nothing depends on it."""
 MOST_DECADES = 3.0

@@ -288,8 +288,8 @@ def _frames_of(folder: Path, rate: float) -> xr.DataTree:
         raise BadInput(
             f"{folder} is a film already; give what it was made of, the folder of its frames"
         )
-    told = tree.attrs.get(SIDES_TOLD_AT, rate)
-    if told != rate:
+    told = tree.attrs.get(SIDES_TOLD_AT)
+    if told is not None and told != rate:
         raise BadInput(
             f"in the frames of {folder} left and right were told from how they follow each other at"
             f" {told:g} a second, and not at {rate:g}; give that rate, or draw them anew into"

@@ -59,6 +59,7 @@ CORE: dict[str, tuple[str, ...]] = {
     "inference/exact/rates.py": (REJECTION, STRATA, ORACLE),
     "inference/exact/groups.py": (REJECTION, STRATA, ORACLE),
     "inference/films/coupling.py": ("tests/inference/test_films.py",),
+    "inference/films/sides.py": ("tests/inference/test_sides.py",),
     "inference/importance/views/weighted.py": ("tests/inference/test_views.py",),
     "inference/importance/weighted.py": (BY_HAND, ROOTS),
     "inference/importance/rejection.py": (BY_HAND, "tests/inference/test_uncertain_rejection.py"),

@@ -275,7 +275,7 @@ def drawn(film: TrueFilm, work: Path) -> Path:
         model, law = film.model or PoseModel(), Likelihood.of(DetectorErrors.default())
         model = model if film.lens is None else model.seen_by(film.lens)
         people = film.people
-        items = people if isinstance(people, Footage) else _named(people)
+        items = people if isinstance(people, Footage) else named(people)
         sample_film(
             model,
             items,
@@ -288,7 +288,8 @@ def drawn(film: TrueFilm, work: Path) -> Path:
     return out
 
 
-def _named(people: list[Detection]) -> list[Item]:
+def named(people: list[Detection]) -> list[Item]:
+    """Frames of a film, by their numbers."""
     return [Item(f"{row:04d}", person) for row, person in enumerate(people)]
 
 

@@ -32,6 +32,7 @@ from poseterior.reports.pages.films import (
     depth_of,
     held_of,
     judge,
+    named,
     ways_of,
 )
 from poseterior.reports.pages.page import Data, Page, Work, run
@@ -62,7 +63,12 @@ class Misnamed(NamedTuple):
     @property
     def items(self) -> list[Item]:
         """Its frames."""
-        return [Item(f"{row:05d}", person) for row, person in enumerate(self.film.alone)]
+        return named(self.film.alone)
+
+    @property
+    def subject(self) -> str:
+        """Who it is of."""
+        return self.film.name.split("-")[1]
 
 
 def misnamed(film: TrueFilm, rng: np.random.Generator) -> Misnamed:
@@ -160,7 +166,7 @@ def drawn(one: Misnamed, likelihood: Likelihood, work: Path, told: bool) -> Path
 def longest(films: Sequence[Misnamed]) -> list[Misnamed]:
     """The first seconds of the longest films, each of another person."""
     ordered = sorted(films, key=lambda one: -len(one.exchange))
-    people = {one.film.name.split("-")[1]: one for one in reversed(ordered)}
+    people = {one.subject: one for one in reversed(ordered)}
     some = sorted(people.values(), key=lambda one: -len(one.exchange))[:DRAWN_FILMS]
     rows = slice(round(DRAWN_SECONDS * DRAWN_RATE))
     return [
@@ -231,7 +237,7 @@ def main(data: Data, work: Work) -> Page:
         "sides",
         {
             "recordings": len(usual),
-            "people": len({one.film.name.split("-")[1] for one in usual}),
+            "people": len({one.subject for one in usual}),
             "seconds": f"{sum(len(one.exchange) for one in usual) / DRAWN_RATE:,.0f}",
             "motion": sheet_of(HEAD, [*lines, (NOTHING_TOLD, *control)]),
             "films": len(some),
